@@ -9,6 +9,7 @@ import click
 
 from orchestrator.cli.base.codes import FAILED
 from orchestrator.cli.base.common import check_endpoint_option, console, json_option, print_json
+from orchestrator.cli.base.extras import require_extra
 
 if TYPE_CHECKING:
     from orchestrator.runtime.doctor.findings import Finding
@@ -21,6 +22,7 @@ _SIGNS = {"ok": "[green]ok[/]", "warning": "[yellow]warning[/]", "failed": "[red
 Examples:
   tutti doctor
   tutti doctor lab.fleet.yaml --host lab2 --connect tls/192.168.1.5:7447
+  tutti doctor lab.fleet.yaml --journal postgresql://tutti@a,b/tutti
 
 \b
 Exit codes: 0 nothing has failed, perhaps with warnings; 1 something has."""
@@ -35,14 +37,22 @@ Exit codes: 0 nothing has failed, perhaps with warnings; 1 something has."""
     callback=check_endpoint_option,
     help="Check the router there, the versions of all parts, and TLS.",
 )
+@click.option(
+    "--journal",
+    default="",
+    metavar="ADDRESS",
+    help="Check the database of the journal, postgresql://USER@HOST,HOST/DATABASE; with FILE for its copies.",
+)
 @click.option("--state", type=click.Path(path_type=Path), default=None, help="The state folder; its disk is measured.")
 @json_option
-def doctor(file: Path | None, hosts: tuple[str, ...], connect: str, state: Path | None, *, as_json: bool) -> None:
+def doctor(
+    file: Path | None, hosts: tuple[str, ...], connect: str, journal: str, state: Path | None, *, as_json: bool
+) -> None:
     """Check this computer: system, Python, real-time limits, USB latency timers, permissions, ports, clock source,
     disk, the certificate, the router, versions, and whether other computers reach the bus without TLS; with FILE also
     the links of its controllers. Nothing is changed.
     """
-    findings = _examine(file, hosts, connect, state)
+    findings = _examine(file, hosts, connect, state) + (_examine_journal(file, journal) if journal else [])
     if as_json:
         print_json(
             {
@@ -88,6 +98,17 @@ def _examine(file: Path | None, hosts: tuple[str, ...], connect: str, state: Pat
             else [router, *asyncio.run(check_parts(connect)), asyncio.run(check_openness(connect))]
         )
     return findings
+
+
+def _examine_journal(file: Path | None, address: str) -> "list[Finding]":
+    require_extra("postgres", "psycopg")
+    from orchestrator.model.operation.journal_policy import JournalPolicy
+    from orchestrator.runtime.checked import load_checked_fleet
+    from orchestrator.runtime.doctor.journal import check_journal_server
+
+    fleet = None if file is None else load_checked_fleet(file, tolerant=True)
+    name, policy = ("any", JournalPolicy()) if fleet is None else (fleet.fleet, fleet.journal)
+    return check_journal_server(address, name, policy)
 
 
 def _print_findings(found: "list[Finding]") -> None:

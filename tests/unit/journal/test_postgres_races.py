@@ -66,7 +66,7 @@ def track(server: PostgresServer, number: int, monkeypatch: pytest.MonkeyPatch) 
         yield track
 
 
-@pytest.mark.parametrize("rounds", [300, pytest.param(10_000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("rounds", [150, pytest.param(10_000, marks=pytest.mark.nightly)])
 def test_no_write_of_a_leader_of_before_is_stored(track: Track, rounds: int) -> None:
     draw = Random(60)
     for _ in range(rounds):

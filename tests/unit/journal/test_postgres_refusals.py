@@ -1,5 +1,6 @@
 """Databases that are not as they should be: each refusal is one line with a remedy, and loses nothing."""
 
+import re
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 
@@ -67,8 +68,9 @@ def test_a_server_that_cannot_be_reached(desk: Desk) -> None:
     ("prepare", "user", "database", "shown"),
     [
         ("CREATE ROLE locked LOGIN PASSWORD 'right'", "locked:secret", "", "the password is wrong or missing"),
-        ("SELECT 1", "none", "", "its user does not exist"),
-        ("SELECT 1", "", "none", "its database does not exist"),
+        ("SELECT 1", "none", "", "its user or its database does not exist (role"),
+        ("SELECT 1", "", "none", "its user or its database does not exist (database"),
+        ("REVOKE CONNECT ON DATABASE {database} FROM PUBLIC", "", "", "its user may not connect (permission denied"),
         ("ALTER ROLE {user} CONNECTION LIMIT 0", "", "", "the server has no connection left"),
         (
             "ALTER ROLE {user} SET default_transaction_read_only = on",
@@ -95,7 +97,7 @@ def test_another_encoding_and_a_version_that_is_too_old(desk: Desk, monkeypatch:
     finally:
         desk.server.execute("DROP DATABASE latin WITH (FORCE)")
     monkeypatch.setattr(session, "OLDEST", 99)
-    assert "PostgreSQL 18 is too old; use 99 or newer" in desk.refuse()
+    assert re.search(r"PostgreSQL \d+ is too old; use 99 or newer", desk.refuse())
 
 
 def test_settings_of_the_site_do_not_change_the_journal(desk: Desk) -> None:
@@ -117,7 +119,7 @@ def test_the_health_names_what_loses_data(desk: Desk) -> None:
     journal = desk.open()
     health = journal.read_health()
     assert health.problems == () and health.fsync and not health.in_recovery and health.timeline == 1
-    assert abs(health.clock_s) < 1 and health.version.startswith("18")
+    assert abs(health.clock_s) < 1 and desk.execute("SHOW server_version") == [(health.version,)]
     desk.server.execute("ALTER SYSTEM SET fsync = off")
     try:
         desk.server.execute("SELECT pg_reload_conf()")

@@ -14,6 +14,7 @@ ALLOWED = {
     "zenoh": "orchestrator/bus/zenoh",
     "ruckig": "orchestrator/plan/shape.py",
     "sqlite3": "orchestrator/coordinator/journal/sqlite",
+    "psycopg": "orchestrator/coordinator/journal/postgres",
     "cryptography": "orchestrator/keys",
     "serial": "adapters/link",
     "can": "adapters/link",

@@ -21,27 +21,27 @@ class JournalAddress(NamedTuple):
 def read_address(address: str) -> JournalAddress:
     """Read an address. Raises `JournalError`."""
     try:
-        given = conninfo_to_dict(address)
+        parts = conninfo_to_dict(address)
     except psycopg.Error as error:
         problem = " ".join(str(error).split())
         raise JournalError(f"it is no address of a PostgreSQL database: {_hide(problem, address)}", _FORM) from None
-    if not address.startswith(("postgresql://", "postgres://")) or not given.get("dbname"):
+    if not address.startswith(("postgresql://", "postgres://")) or not parts.get("dbname"):
         raise JournalError("it is no address of a PostgreSQL database: its scheme or its database is missing", _FORM)
-    hosts = str(given.get("host") or given.get("hostaddr") or "the local socket").split(",")
-    ports = str(given.get("port") or "").split(",")
+    hosts = str(parts.get("host") or parts.get("hostaddr") or "the local socket").split(",")
+    ports = str(parts.get("port") or "").split(",")
     if not all(port.isdecimal() for port in ports if port) or len(ports) not in (1, len(hosts)):
         raise JournalError(f"it is no address of a PostgreSQL database: its port is {','.join(ports)!r}", _FORM)
     settings = {
         "connect_timeout": CONNECT_S,
         "target_session_attrs": "read-write",
         "tcp_user_timeout": CONNECT_S * 1000,
-        **given,
+        **parts,
         "client_encoding": "UTF8",
     }
     ports = ports if len(ports) == len(hosts) else ports * len(hosts)
     places = ",".join(f"{host}:{port}" if port else host for host, port in zip(hosts, ports, strict=True))
-    user = f"{given['user']}@" if given.get("user") else ""
-    return JournalAddress(make_conninfo("", **settings), f"postgresql://{user}{places}/{given['dbname']}")
+    user = f"{parts['user']}@" if parts.get("user") else ""
+    return JournalAddress(make_conninfo("", **settings), f"postgresql://{user}{places}/{parts['dbname']}")
 
 
 def _hide(problem: str, address: str) -> str:

@@ -172,10 +172,10 @@ class PostgresDatabase:
         """Whether a commit without an answer was done. is_late: it has waited for one, perhaps for a standby. Raises
         `UnknownResult` where that cannot be found out."""
         try:
-            (((writer, number, epoch, awaited),),) = self.session.run([_FIND_MARK])
+            (((writer, number, epoch, log_place),),) = self.session.run([_FIND_MARK])
             is_stored = (writer, number) == (self._writer, self._number)
             if is_stored and self.copies > 1:
-                self._awaited = awaited if is_late else self._awaited
+                self._awaited = log_place if is_late else self._awaited
                 self._confirm(is_promise=is_promise)
         except JournalError:
             raise self._make_unknown_error() from None

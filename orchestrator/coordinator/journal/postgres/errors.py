@@ -28,13 +28,11 @@ _REFUSED = (
     ("certificate", "its certificate is not accepted", "see sslrootcert and sslmode of the address, and its expiry"),
     ("too many", _FULL, _SESSIONS),
     ("connection slots", _FULL, _SESSIONS),
-    ("role", "its user does not exist", "create it: `createuser USER`"),
-    ("database", "its database does not exist", "create it: `createdb -E UTF8 DATABASE`"),
+    ('" does not exist', "its user or its database does not exist", "`createuser USER`, `createdb -E UTF8 DATABASE`"),
+    ("permission denied", "its user may not connect", "`GRANT CONNECT ON DATABASE … TO …`"),
     ("read-only", _READS, _PRIMARY),
     ("hot standby", _READS, _PRIMARY),
 )
-# Texts with the words of others.
-_UNREACHABLE = ("the database system is", "Connection refused", "timeout expired")
 
 # By the first characters of SQLSTATE (PostgreSQL 18, appendix A); the longest that matches counts.
 _STATES = {
@@ -60,8 +58,7 @@ _STATES = {
 def make_refused_error(name: str, error: psycopg.Error) -> JournalError:
     """The error for a connection that was refused, or not answered."""
     text = _flatten(error)
-    is_unreachable = any(words in text for words in _UNREACHABLE)
-    for pattern, problem, remedy in () if is_unreachable else _REFUSED:
+    for pattern, problem, remedy in _REFUSED:
         if pattern in text:
             return JournalError(f"{name}: {problem} ({_find_reason(text)})", remedy)
     return ConnectionLost(f"{name}: the database cannot be reached ({_find_reason(text)})", _SERVER)

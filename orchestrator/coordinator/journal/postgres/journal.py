@@ -132,7 +132,7 @@ def require_schema(db: PostgresDatabase, fleet: str) -> None:
     if not version:
         raise JournalError(
             f"{db.name}: the journal of fleet {fleet} is missing",
-            "bring a backup back: `tutti journal import`; or begin a new one",
+            "give the address of its database, or begin a new one",
         )
     if version < VERSION:
         text = f"{db.name}: schema {version} is older than this Tutti's {VERSION}"
@@ -141,6 +141,6 @@ def require_schema(db: PostgresDatabase, fleet: str) -> None:
     for table, names in {**tables.RECORDS, **tables.POINTS}.items():
         missing_names = sorted(set(names) - columns.get(table, set()))
         if missing_names:
-            what = f"the column {missing_names[0]}" if table in columns else "the table"
-            text = f"{db.name}: {what} of {schema}.{table} is missing: it was changed by hand"
+            part = f"the column {missing_names[0]}" if table in columns else "the table"
+            text = f"{db.name}: {part} of {schema}.{table} is missing: it was changed by hand"
             raise JournalError(text, BRING_BACK)

@@ -20,5 +20,4 @@ def open_journal(
     from orchestrator.coordinator.journal.postgres.address import read_address
     from orchestrator.coordinator.journal.postgres.journal import FleetDatabase, PostgresJournal
 
-    place = FleetDatabase(read_address(address), fleet, copies, coordinator)
-    return PostgresJournal(place, is_new=is_new)
+    return PostgresJournal(FleetDatabase(read_address(address), fleet, copies, coordinator), is_new=is_new)

@@ -122,4 +122,4 @@ def _require_no_leader(db: Database, fleet: str) -> None:
     rows = db.select(_LEADERS, (make_leader_pattern(fleet),))
     if rows:
         text = f"{db.name}: a coordinator leads on it (session {rows[0][0]!r})"
-        raise JournalError(text, "end the fleet first: `tutti down`")
+        raise JournalError(text, "end the fleet first")
