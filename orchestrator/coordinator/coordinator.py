@@ -26,8 +26,8 @@ from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.fleet.virtual_states import VirtualObserver
 from orchestrator.coordinator.fleet.zone_states import ZoneObserver
 from orchestrator.coordinator.fleet.zone_watch import ZoneWatch
-from orchestrator.coordinator.jobs.hand_over import HandOver
 from orchestrator.coordinator.jobs.intake.job_intake import JobIntake
+from orchestrator.coordinator.jobs.queue.hand_over import HandOver
 from orchestrator.coordinator.jobs.queue.scheduler import Scheduler
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.grouped_calls import GroupedCalls
@@ -85,7 +85,7 @@ class Coordinator:
         calls = self._journal_calls = GroupedCalls(
             environment.journal, environment.execute, clock, lambda: self.leadership.epoch, tasks
         )
-        self._copies = CopyWatch(environment.read_journal_health, calls, clock, tasks)
+        self._copies = CopyWatch(environment.read_journal_health, environment.execute, clock, tasks)
         self._positions = PositionBook(access, environment.journal, calls)
         publisher = StepPublisher(bus, keys)
         motion = MotionServices(

@@ -10,7 +10,7 @@ from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal, requi
 from orchestrator.coordinator.journal.store import JournalStore
 from orchestrator.coordinator.leadership.environment import JournalServer
 from orchestrator.coordinator.leadership.lease import LeaseTerms
-from orchestrator.model.operation.journal_policy import JournalPolicy
+from orchestrator.model.queue import JournalPolicy
 
 SCHEME = "postgresql://"
 

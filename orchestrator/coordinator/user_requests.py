@@ -12,11 +12,11 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.service_verbs import NOT_LEADER, SERVICE_VERBS
 from orchestrator.coordinator.command_log import CommandLog
 from orchestrator.coordinator.fleet.manual import ManualLeases
-from orchestrator.coordinator.jobs.hand_over import HandOver
 from orchestrator.coordinator.jobs.intake.approval import JobApprovals
 from orchestrator.coordinator.jobs.intake.job_intake import JobIntake
 from orchestrator.coordinator.jobs.intake.path_intake import split_paths
 from orchestrator.coordinator.jobs.intake.rehearsal import JobRehearsal
+from orchestrator.coordinator.jobs.queue.hand_over import HandOver
 from orchestrator.coordinator.jobs.queue.scheduler import Scheduler
 from orchestrator.coordinator.jobs.run.outcome import JobInterrupted
 from orchestrator.coordinator.jobs.services import JobServices

@@ -34,10 +34,10 @@ from orchestrator.model.links import (
 )
 from orchestrator.model.names import split_name
 from orchestrator.model.numbers import Duration, Hertz, Part, Seconds, SignedNumber, UnitNumber
-from orchestrator.model.operation.journal_policy import JournalPolicy
 from orchestrator.model.pairs.fields import explain_pair_field
 from orchestrator.model.pairs.rack import MotorRack
 from orchestrator.model.problems import Problem, raise_problems, validate_with
+from orchestrator.model.queue import JournalPolicy
 from orchestrator.model.text.text_fields import PLAIN_TEXT
 from orchestrator.model.units import Quantity, Unit, UnitError, find_dimension, parse_quantity
 from orchestrator.model.virtual_axes import MAX_GROUPS, VirtualGroup, digest_corrections

@@ -1,4 +1,5 @@
-"""A job's place in the queue: when it may begin, and its order. The job itself describes the motion."""
+"""A job's place in the queue: when it may begin, and its order; and what a fleet asks of the journal that keeps it. The job
+itself describes the motion."""
 
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Literal
@@ -6,7 +7,10 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from orchestrator.model.base import Model
+from orchestrator.model.numbers import Duration
 from orchestrator.model.script import ScriptModel
+
+NS_PER_S = 1_000_000_000
 
 SESSION_PATTERN = r"^[a-z0-9_-]{1,64}$"
 SIGN_PERIOD_NS = 200_000_000
@@ -87,3 +91,22 @@ class QueueStop(Model):
     reason: str
     actor: str
     utc: str
+
+
+CopyMode = Literal["one copy", "two copies", "waits for a copy"]
+"""On how many machines what is promised stands. `waits for a copy`: the fleet file asks for two, and one is missing."""
+
+
+class JournalPolicy(Model):
+    """The journal in a database (`--journal postgresql://…`). One in a file on this computer takes no notice of it."""
+
+    copies: Literal[1, 2] = Field(
+        default=1,
+        description="2: a job is accepted once it is on two machines, by the database's synchronous standby.",
+    )
+    lease: Duration = Field(
+        default=3 * NS_PER_S,
+        ge=NS_PER_S,
+        le=60 * NS_PER_S,
+        description="A leader that cannot renew its lease ends after two thirds of it; a standby waits for the whole.",
+    )

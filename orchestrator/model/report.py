@@ -7,9 +7,8 @@ from pydantic import Field
 
 from orchestrator.model.base import Int53, Model, Rational
 from orchestrator.model.messages import BudgetTerm, RefusalDetails
-from orchestrator.model.operation.journal_policy import CopyMode
 from orchestrator.model.profile import Profile
-from orchestrator.model.queue import QueueStop, QueueTerms
+from orchestrator.model.queue import CopyMode, QueueStop, QueueTerms
 from orchestrator.model.state import AxisEvidence, ClockMapping, ReadPosition, RetargetWay, StartClass, TimeInterval
 from orchestrator.model.text.text_fields import SHOW_TEXT
 from orchestrator.model.units import Unit

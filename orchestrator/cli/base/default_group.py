@@ -11,12 +11,14 @@ class DefaultGroup(click.Group):
     default: the name of that command."""
 
     def __init__(self, *args: Any, default: str, **attributes: Any) -> None:
-        super().__init__(*args, **attributes)
+        settings = {"ignore_unknown_options": True, **attributes.pop("context_settings", {})}
+        super().__init__(*args, context_settings=settings, **attributes)
         self._default = default
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the name of the default command in front, where none is given."""
-        is_help = not args or args[0] in self.get_help_option_names(ctx)
-        if not is_help and args[0] not in self.commands:
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command that the words name; the default one with all of them, where they name none."""
+        if args and args[0] not in self.commands:
             args = [self._default, *args]
-        return super().parse_args(ctx, args)
+        return super().resolve_command(ctx, args)

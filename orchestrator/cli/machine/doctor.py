@@ -102,7 +102,7 @@ def _examine(file: Path | None, hosts: tuple[str, ...], connect: str, state: Pat
 
 def _examine_journal(file: Path | None, address: str) -> "list[Finding]":
     require_extra("postgres", "psycopg")
-    from orchestrator.model.operation.journal_policy import JournalPolicy
+    from orchestrator.model.queue import JournalPolicy
     from orchestrator.runtime.checked import load_checked_fleet
     from orchestrator.runtime.doctor.journal import check_journal_server
 

@@ -9,7 +9,7 @@ from orchestrator.clock.executor import Executor
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.model.operation.alarms import AlarmCause
-from orchestrator.model.operation.journal_policy import CopyMode
+from orchestrator.model.queue import CopyMode
 
 LOOK_NS = 10 * NS_PER_S
 LOOK_AGAIN_NS = NS_PER_S  # while a copy is missing

@@ -5,7 +5,7 @@ from orchestrator.coordinator.journal.postgres.health import read_health
 from orchestrator.coordinator.journal.postgres.journal import FleetDatabase, open_session
 from orchestrator.coordinator.journal.postgres.names import TOOL
 from orchestrator.coordinator.journal.records import JournalError
-from orchestrator.model.operation.journal_policy import JournalPolicy
+from orchestrator.model.queue import JournalPolicy
 from orchestrator.runtime.doctor.findings import Finding
 
 CHECK = "journal"

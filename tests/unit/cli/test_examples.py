@@ -52,10 +52,8 @@ def parse_line(words: list[str]) -> None:
         if not isinstance(command, click.Group):
             return
         assert words, "a group alone"
-        name, words = words[0], words[1:]
-        found = command.get_command(context, name)
-        if found is None:
-            raise click.UsageError(f"no command {name}", context)
+        name, found, words = command.resolve_command(context, words)
+        assert name is not None and found is not None
         command, context = found, click.Context(found, info_name=name, parent=context)
 
 
