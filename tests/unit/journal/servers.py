@@ -53,7 +53,8 @@ class PostgresServer:
         self.data.mkdir()
         self._own(self.folder, self.data)
         self._run(
-            "initdb", "-D", self.data, "-A", "trust", "-U", "tutti", "-E", "UTF8", "--locale=C.UTF-8", "--no-sync"
+            *("initdb", "-D", self.data, "-A", "trust", "-U", "tutti", "-E", "UTF8", "--locale=C.UTF-8"),
+            *("--no-sync", "--wal-segsize=1"),
         )
         hosts = self.data / "pg_hba.conf"
         hosts.write_text(f"host all locked 127.0.0.1/32 scram-sha-256\n{hosts.read_text()}")
