@@ -166,7 +166,7 @@ class CommandStore(Protocol):
 
 class JournalStore(Protocol):
     """The journal of one fleet. Every method that changes something has stored it safely when it returns; every method
-    raises `JournalError` where the journal cannot be used."""
+    raises `JournalError` where the journal cannot be used: nothing is stored then, but with `UnknownResult`."""
 
     @property
     def point_rows(self) -> PointRowStore: ...

@@ -7,6 +7,7 @@ import pytest
 from unit.journal.engines import Engine
 from unit.journal.stored_points import AXES, NOON, later, make_points, store_points
 
+from orchestrator.client.points import PART_BYTES
 from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
 from orchestrator.coordinator.journal.sql.point_store import PointStore
 from orchestrator.model.errors import Refusal
@@ -21,6 +22,17 @@ def test_points_come_back_from_any_part(engine: Engine) -> None:
     assert len(store.read_rows(digest, 990, 4096)) == 10
     columns = store.begin_upload(digest, AXES, 1000, NOON, []).columns
     assert columns is not None and (columns[0].most, columns[0].most_at) == (99.9, 1000)
+
+
+def test_points_of_several_megabytes_come_in_parts_of_one(engine: Engine) -> None:
+    db = engine.open_points()
+    store = PointStore(db)
+    digest = store_points(store, 200_000, part=PART_BYTES - PART_BYTES % 16)
+    assert store.read_rows(digest, 199_998, 2) == [(each * 0.1, each % 7) for each in (199_998, 199_999)]
+    ((parts, longest),) = db.select("SELECT count(*), max(length(data)) FROM parts WHERE digest = ?", (digest,))
+    assert parts >= 4 and longest <= 1_000_000
+    store.delete_upload(digest)
+    assert db.select("SELECT count(*) FROM parts WHERE digest = ?", (digest,)) == [(0,)]
 
 
 def test_an_upload_that_broke_off_is_continued_or_deleted_after_an_hour(engine: Engine) -> None:

@@ -61,9 +61,7 @@ class Desk:
 @pytest.fixture
 def desk(server: PostgresServer, number: int, tmp_path: Path) -> Iterator[Desk]:
     with ExitStack() as stack:
-        desk = Desk(server, number, tmp_path, stack)
-        yield desk
-    server.execute(f"DROP DATABASE {desk.database} WITH (FORCE)")
+        yield Desk(server, number, tmp_path, stack)
 
 
 def read_records(path: Path) -> list[object]:

@@ -2,7 +2,10 @@
 
 import signal
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from statistics import median
+from time import perf_counter
 
 import pytest
 
@@ -14,7 +17,9 @@ from unit.journal.test_journal import JOB, end, utc
 from orchestrator.coordinator.journal.postgres.address import read_address
 from orchestrator.coordinator.journal.postgres.journal import FleetDatabase, PostgresJournal
 from orchestrator.coordinator.journal.postgres.lease import LeaseRenewal
-from orchestrator.coordinator.journal.records import CopyMissing, UnknownResult
+from orchestrator.coordinator.journal.postgres.opening import open_journal
+from orchestrator.coordinator.journal.records import CopyMissing, JournalError, UnknownResult
+from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.model.report import JobTransition
 
 pytestmark = pytest.mark.postgres
@@ -41,9 +46,9 @@ class Pair:
 
 
 @contextmanager
-def run_pair() -> Iterator[Pair]:
+def run_pair(base: str = "") -> Iterator[Pair]:
     require_server()
-    primary = PostgresServer(find_programs())
+    primary = PostgresServer(find_programs(), base)
     standby: PostgresServer | None = None
     try:
         primary.create()
@@ -139,6 +144,21 @@ def test_a_server_whose_commits_wait_for_no_copy_promises_nothing(server: Postgr
         assert journal.take_epoch(0) == 1 and journal.read_health().mode == "one copy"
 
 
+def test_a_standby_alone_takes_no_writes_and_a_user_that_may_not_see_it_has_no_copy(pair: Pair, number: int) -> None:
+    with pytest.raises(JournalError, match="it takes no writes") as caught:
+        open_journal(pair.standby.make_address("journal"), f"pair{number}")
+    assert "promote this one" in caught.value.remedy
+    pair.primary.execute("CREATE ROLE plain LOGIN; GRANT CREATE ON DATABASE journal TO plain")
+    address = read_address(pair.primary.make_address("journal", "plain"))
+    with closing(PostgresJournal(FleetDatabase(address, f"pair{number}", copies=2))) as journal:
+        health = journal.read_health()
+        assert health.mode == "waits for a copy" and health.problems[0].remedy == "`GRANT pg_monitor TO USER` there"
+        with pytest.raises(CopyMissing):
+            journal.take_epoch(0)
+        pair.primary.execute("GRANT pg_monitor TO plain")
+        assert journal.take_epoch(0) == 1
+
+
 def test_the_promoted_standby_has_what_was_accepted_and_names_what_it_waits_for(number: int) -> None:
     with run_pair() as pair:
         place = FleetDatabase(read_address(pair.address), f"pair{number}", copies=2)
@@ -159,3 +179,23 @@ def test_the_promoted_standby_has_what_was_accepted_and_names_what_it_waits_for(
         with closing(PostgresJournal(place._replace(copies=1))) as other:
             assert other.take_epoch(epoch) == epoch + 1
             assert other.accept_job("k", "k0", JOB, utc(1)) == ("j0", False)
+
+
+def test_a_job_is_accepted_nearly_as_quickly_as_in_a_file(tmp_path: Path) -> None:
+    """Nightly: medians of 200 on one disk, alternately, so that what else runs delays each alike."""
+    with ExitStack() as stack:
+        pair = stack.enter_context(run_pair("/tmp"))
+        place = FleetDatabase(read_address(pair.address), "cost")
+        file = stack.enter_context(closing(SqliteJournal(tmp_path / "journal.db")))
+        one = stack.enter_context(closing(PostgresJournal(place)))
+        two = stack.enter_context(closing(PostgresJournal(place._replace(fleet="costs", copies=2))))
+        took_s: dict[int, list[float]] = {0: [], 1: [], 2: []}
+        for journal in (one, two):
+            journal.take_epoch(0)
+        for count in range(250):
+            for copies, journal in enumerate((file, one, two)):
+                began_s = perf_counter()
+                journal.accept_job(f"j{count}", f"k{count}", JOB, utc(1))
+                took_s[copies].append(perf_counter() - began_s)
+        medians = [median(took_s[copies][50:]) for copies in range(3)]
+    assert medians[1] <= 1.5 * medians[0] and medians[2] <= 3 * medians[0], medians

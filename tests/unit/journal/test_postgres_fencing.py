@@ -32,6 +32,11 @@ class Contenders:
         place = self.place._replace(coordinator=coordinator)
         return self._stack.enter_context(closing(PostgresJournal(place)))
 
+    def list_names(self) -> list[str]:
+        """The names of the sessions of this fleet."""
+        query = "SELECT application_name FROM pg_stat_activity WHERE application_name LIKE 'tutti %'"
+        return sorted(str(name) for (name,) in self.server.execute(query) if self.place.fleet in str(name).split())
+
     def lease(self) -> LeaseRenewal:
         return self._stack.enter_context(closing(LeaseRenewal(self.place)))
 
@@ -98,16 +103,10 @@ def test_names_of_sessions_state_the_epoch_and_ends_only_those_of_leaders(conten
     leader, standby = contenders.open("leader"), contenders.open("standby")
     leader.take_epoch(0)
 
-    def list_names() -> list[str]:
-        rows = contenders.server.execute(
-            "SELECT application_name FROM pg_stat_activity WHERE application_name LIKE 'tutti %'"
-        )
-        return sorted(str(name) for (name,) in rows if contenders.place.fleet in str(name))
-
     fleet = contenders.place.fleet
-    assert list_names() == [f"tutti {fleet} 1", f"tutti {fleet} standby"]
+    assert contenders.list_names() == [f"tutti {fleet} 1", f"tutti {fleet} standby"]
     contenders.open("third").take_epoch(0)
-    assert list_names() == [f"tutti {fleet} 2", f"tutti {fleet} standby"]
+    assert contenders.list_names() == [f"tutti {fleet} 2", f"tutti {fleet} standby"]
     assert standby.load_record("x") is None
 
 
@@ -143,8 +142,10 @@ def test_the_lease_is_renewed_while_a_write_is_open_and_not_after_a_take_over(co
     with leader.database.transaction():
         leader.delete_position("x")
         leader.list_named_points()
+        assert lease.read_state().renewals == 0  # as a standby does
         assert lease.renew(epoch)
         assert reader.read_state().renewals == 1
+        assert contenders.list_names().count(f"tutti {contenders.place.fleet} 1") == 2
     contenders.open("second").take_epoch(0)
     assert not lease.renew(epoch)
     assert reader.read_state()[:3] == (2, "second", 1)

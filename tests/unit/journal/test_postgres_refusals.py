@@ -50,15 +50,15 @@ class Desk:
 @pytest.fixture
 def desk(server: PostgresServer, number: int) -> Iterator[Desk]:
     with ExitStack() as stack:
-        yield (desk := Desk(server, number, stack))
-    server.execute(f"DROP DATABASE {desk.database} WITH (FORCE)")
-    server.execute(f"DROP ROLE {desk.user}")
+        yield Desk(server, number, stack)
 
 
 def test_a_server_that_cannot_be_reached(desk: Desk) -> None:
     shown = desk.refuse(f"postgresql://tutti:secret@127.0.0.1:{find_free_port()}/x")
     assert "the database cannot be reached" in shown and "Connection refused" in shown
     assert "see whether its server runs" in shown
+    for host in ("a..b", "x" * 70, "host.invalid"):
+        assert "the database cannot be reached" in desk.refuse(f"postgresql://tutti:secret@{host}/x")
     # Of several hosts the one that is there counts.
     several = f"postgresql://{desk.user}@127.0.0.1:{find_free_port()},127.0.0.1:{desk.server.port}/{desk.database}"
     assert desk.open(several).take_epoch(0) == 1

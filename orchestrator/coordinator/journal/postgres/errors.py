@@ -55,7 +55,7 @@ _STATES = {
 }
 
 
-def make_refused_error(name: str, error: psycopg.Error) -> JournalError:
+def make_refused_error(name: str, error: Exception) -> JournalError:
     """The error for a connection that was refused, or not answered."""
     text = _flatten(error)
     for pattern, problem, remedy in _REFUSED:

@@ -45,7 +45,7 @@ class LeaseRenewal:
     def renew(self, epoch: int) -> bool:
         """Renew it; False: that epoch is over. Raises `JournalError`, also where no answer came in time: count from
         before the call, and only what returned True."""
-        self._session.application = name_session(self._fleet, str(epoch))
+        self._session.rename(name_session(self._fleet, str(epoch)))
         local = [Statement("SET LOCAL synchronous_commit TO local")] if self._is_copy_missing() else []
         statements = [Statement("BEGIN"), *local, Statement(_RENEW, (epoch,)), Statement("COMMIT")]
         return bool(self._session.run_again(statements)[-2])

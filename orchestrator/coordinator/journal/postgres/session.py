@@ -76,6 +76,12 @@ class Session:
         """What is connected at present; another object after it was lost."""
         return self._connection
 
+    def rename(self, application: str) -> None:
+        """Name it otherwise on the server; a connection with another name is closed."""
+        if application != self.application:
+            self.application = application
+            self._drop()
+
     def run(self, statements: Sequence[Statement]) -> list[list[Any]]:
         """Send statements together; return the rows of each.
 
@@ -138,7 +144,7 @@ class Session:
     def _connect(self) -> _Connection:
         try:
             connection = _Connection.connect(self._conninfo, autocommit=True, application_name=self.application)
-        except psycopg.Error as error:
+        except (psycopg.Error, UnicodeError) as error:  # the latter of the name of a host
             raise make_refused_error(self.name, error) from None
         self._connection = connection
         try:
