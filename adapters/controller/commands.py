@@ -15,6 +15,7 @@ from adapters.controller.slots.step_commands import StepCommands
 from adapters.controller.slots.triggers import LatchControl
 from adapters.controller.state.armed_step import StepPhase
 from adapters.controller.state.context import ControllerContext
+from adapters.controller.state.last_work import LastWork
 from adapters.controller.stops import ControllerStops
 from orchestrator.bus.answers import AnswerCache
 from orchestrator.bus.base import BusSample, RequestRefused
@@ -69,7 +70,6 @@ from orchestrator.model.messages import (
     SettingsChecked,
     StartAtOnceRequest,
     StartedReply,
-    StepRequest,
     StopRequest,
     TakeSamples,
     TakeTriggers,
@@ -77,9 +77,6 @@ from orchestrator.model.messages import (
 )
 from orchestrator.model.problems import describe_first_error
 from orchestrator.model.version import PartVersion, require_version
-
-_WORKS = ("commit", "go", "start-at-once", "enable", "home", "set-position", "probe")
-"""Verbs of a job that may change something at the machine."""
 
 
 class ControllerCommands:
@@ -91,7 +88,7 @@ class ControllerCommands:
         self._fence, self._status, self._publisher = components.fence, components.status, components.publisher
         self._stops = stops
         self._answers = AnswerCache()
-        self._last_work: tuple[str, int | None] = "", None
+        self._last_work = LastWork()
         searches = SearchCommands(components, stops, context.clock, self._require_idle)
         latches = LatchControl(context, self._require_idle)
         checks = SettingsChecks(components.surveillance, components.polling, components.publisher, self._require_idle)
@@ -146,7 +143,7 @@ class ControllerCommands:
         try:
             if isinstance(request, FencedRequest) and not isinstance(request, AdoptRequest):
                 await self._fence.require_current_leader(request)
-                self._note_work(verb, request)
+                self._last_work.note_request(verb, request)
             return (await handler(request)).to_json()
         except Refusal as error:
             refusal = RefusalDetails.of(error)
@@ -163,13 +160,6 @@ class ControllerCommands:
         self._publisher.emit_event("refusal", f"{verb} by {request.actor}: {refusal.text}")
         return reply(refused=refusal.model_copy(update={"member": self._context.controller})).to_json()
 
-    def _note_work(self, verb: str, request: FencedRequest) -> None:
-        """Remember the job that commands something which may change the machine."""
-        if verb in _WORKS and isinstance(request, StepRequest):
-            self._last_work = request.job, request.step
-        elif verb in _WORKS and isinstance(request, LeasedRequest):
-            self._last_work = request.holder, None
-
     async def _handle_adopt(self, request: AdoptRequest) -> AdoptedReply:
         leader = request.leader
         if (leader.epoch, leader.coordinator) != (request.epoch, request.coordinator):
@@ -182,10 +172,8 @@ class ControllerCommands:
             self._components.leases.end_all(f"new leader, epoch {request.epoch}")
             await self._components.withdrawal.abandon_step(f"new leader, epoch {request.epoch}")
         self._publisher.publish_state()
-        last_job, last_step = self._last_work
-        return AdoptedReply(
-            epoch=self._fence.epoch, mode=self._publisher.current_mode(), last_job=last_job, last_step=last_step
-        )
+        work, mode = self._last_work, self._publisher.current_mode()
+        return AdoptedReply(epoch=self._fence.epoch, mode=mode, last_job=work.job, last_step=work.step)
 
     async def _handle_accept_epoch(self, request: AcceptEpoch) -> Reply:
         """Only at rest: until the leader adopts the controller, nothing can be started, and jogs have ended."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from orchestrator.clock.executor import Executor, ThreadExecutor
-from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal, require_journal
 from orchestrator.coordinator.journal.store import JournalStore
 from orchestrator.coordinator.leadership.environment import JournalServer
@@ -49,16 +48,12 @@ def open_journal_of(wish: JournalWish) -> OpenedJournal:
             require_journal(path)
         journal = SqliteJournal(path)
         return OpenedJournal(journal, None, journal.close)
-    try:
-        from orchestrator.coordinator.journal.postgres.address import read_address
-        from orchestrator.coordinator.journal.postgres.journal import FleetDatabase, PostgresJournal
-        from orchestrator.coordinator.journal.postgres.lease import LeaseRenewal
-    except ModuleNotFoundError as error:
-        raise JournalError(f"the journal in PostgreSQL needs {error.name}", "pip install 'tutti[postgres]'") from None
-    place = FleetDatabase(read_address(wish.place), wish.fleet, wish.policy.copies, wish.coordinator)
-    journal = PostgresJournal(place, is_new=not wish.existing)
-    deadline_s = min(place.deadline_s, wish.policy.lease / 3e9)
-    lease = LeaseRenewal(place._replace(deadline_s=deadline_s), lambda: journal.database.is_copy_missing)
+    from orchestrator.coordinator.journal.postgres.opening import find_database, open_leader_journal, open_lease
+
+    database = find_database(wish.place, wish.fleet, wish.policy.copies, wish.coordinator)
+    journal = open_leader_journal(database, is_new=not wish.existing)
+    # Two thirds of the lease have to have room for two tries.
+    lease = open_lease(database, wish.policy.lease / 3e9, lambda: journal.database.is_copy_missing)
 
     def close() -> None:
         lease.close()
@@ -71,6 +66,6 @@ def open_lease_of(wish: JournalWish, run: Executor) -> tuple[LeaseTerms, Callabl
     """The lease that a standby waits for, and what closes it; None: the journal is a file. Raises `JournalError`."""
     if not is_address(wish.place):
         return None
-    opened = open_journal_of(wish)
-    assert opened.server is not None
-    return LeaseTerms(opened.server.lease, run, wish.policy.lease), opened.close
+    opened_journal = open_journal_of(wish)
+    assert opened_journal.server is not None
+    return LeaseTerms(opened_journal.server.lease, run, wish.policy.lease), opened_journal.close

@@ -12,11 +12,12 @@ import contextlib
 import shutil
 import sys
 import uuid
+from functools import partial
 from pathlib import Path
 
 from orchestrator.bus.base import Bus
 from orchestrator.bus.expiry import find_session_certificate
-from orchestrator.bus.keys import STANDBY, FleetKeys
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.latch import FileLatchStore, LatchKeeper
 from orchestrator.bus.limits import MAX_COORDINATOR_MESSAGE_BYTES
 from orchestrator.bus.log import ProcessLog
@@ -38,7 +39,7 @@ from orchestrator.coordinator.journal.records import HistoryLost, JournalError
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import AnotherLeader
 from orchestrator.coordinator.leadership.lease import wait_for_lease_end
-from orchestrator.coordinator.leadership.standby import LeaderFile, wait_for_vacancy
+from orchestrator.coordinator.leadership.standby import LeaderFile, stand_by
 from orchestrator.coordinator.opening import JournalWish, is_address, open_journal_of, open_lease_of
 from orchestrator.model.files.private_files import replace_private_file
 from orchestrator.model.fleet import Fleet
@@ -83,20 +84,15 @@ async def _stand_by(options: argparse.Namespace, fleet: Fleet, bus: Bus, log: Pr
     # Kept meanwhile: the leader may be away when an e-stop comes.
     keeper = LatchKeeper(bus, keys, clock.utc, _latch_store(options))
     await keeper.start(f"standby-{name}")
-    token = await bus.announce(keys.live("coordinator", name[:8], STANDBY))
-    opened = await run(open_lease_of, _make_wish(options, fleet, name), run)
-    if opened is None:
-        await wait_for_first(wait_for_vacancy(bus, keys, clock), end.wait())
+    standby_lease = await run(open_lease_of, _make_wish(options, fleet, name), run)
+    if standby_lease is None:
+        await wait_for_first(stand_by(bus, keys, clock, name[:8]), end.wait())
     else:
-        terms, close = opened
+        terms, close = standby_lease
         patience_ns = terms.duration_ns if options.patient else 0
-
-        async def wait_for_both() -> None:
-            await asyncio.gather(wait_for_vacancy(bus, keys, clock), wait_for_lease_end(terms, clock, patience_ns))
-
-        await wait_for_first(wait_for_both(), end.wait())
+        wait_for_lease = partial(wait_for_lease_end, terms, clock, patience_ns)
+        await wait_for_first(stand_by(bus, keys, clock, name[:8], wait_for_lease), end.wait())
         await run(close)
-    await token.undeclare()
     await keeper.close()
     if end.is_set():
         return False
@@ -113,13 +109,13 @@ def _make_wish(options: argparse.Namespace, fleet: Fleet, name: str) -> JournalW
 async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event, *, urgent: bool) -> int:
     latches, folder = _latch_store(options), _find_state(options)
     runs, decode = ThreadExecutor("journal"), ProcessExecutor()
-    opened = await runs(open_journal_of, _make_wish(options, fleet, uuid.uuid4().hex))
+    opened_journal = await runs(open_journal_of, _make_wish(options, fleet, uuid.uuid4().hex))
     check, plan_long = ProcessExecutor(CHECKING), ProcessExecutor(PLANNING)
     court = CoordinatorEnvironment(
         bus=bus,
         keys=FleetKeys(fleet.fleet),
         clock=LiveClock(),
-        journal=opened.journal,
+        journal=opened_journal.journal,
         execute=runs,
         plan=ThreadExecutor("planning", many_objects=True),
         plan_long=plan_long,
@@ -132,7 +128,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         run_command=run_command_process,
         find_free=lambda: runs(_find_free_bytes, folder),
         certificate=find_session_certificate(options.connect),
-        journal_server=opened.server,
+        journal_server=opened_journal.server,
     )
     coordinator = Coordinator(fleet, court)
     try:
@@ -165,7 +161,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         for executor in (decode, check, plan_long):
             executor.close()
         # In the journal's own thread, after its pending writes: SQLite crashes the process if closed during a call.
-        await runs(opened.close)
+        await runs(opened_journal.close)
 
 
 async def _feed_watchdog(options: argparse.Namespace, coordinator: Coordinator) -> None:

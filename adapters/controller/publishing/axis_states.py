@@ -50,9 +50,9 @@ class AxisStates:
             is_referenced=status.referenced[name],
             fault=next((fault.code for fault in reading.faults if fault.axis == name), None),
         )
-        made = self._made.get(name)
-        if made is not None and made[0] == facts:
-            return made[1]
+        entry = self._made.get(name)
+        if entry is not None and entry[0] == facts:
+            return entry[1]
         state = _make_state(axis, facts)
         self._made[name] = facts, state
         return state

@@ -78,15 +78,15 @@ class FleetAdoption:
 
     async def _bind_servers(self, controllers: list[str]) -> list[str]:
         """Find the processes that answer for controllers, and return those for which exactly one does."""
-        found: Mapping[str, set[str]] = {}
+        servers_found: Mapping[str, set[str]] = {}
         reason = ""
         try:
-            found = await self._view.find_servers(controllers)
+            servers_found = await self._view.find_servers(controllers)
         except BusError as error:
             reason = str(error)
         bound: list[str] = []
         for controller in controllers:
-            servers = found.get(controller, set())
+            servers = servers_found.get(controller, set())
             if len(servers) == 1:
                 self._view.servers[controller] = next(iter(servers))
                 bound.append(controller)
@@ -100,11 +100,11 @@ class FleetAdoption:
     async def _adopt_group(self, host: str, controllers: list[str]) -> None:
         """Adopt controllers of one host whose versions fit."""
         known_infos = await self._view.infos.ask_host(host, controllers) if len(controllers) > 1 else {}
-        accepted: list[str] = []
+        accepted_names: list[str] = []
         for controller in controllers:
             try:
                 await self._check_part(controller, known_infos.get(controller))
-                accepted.append(controller)
+                accepted_names.append(controller)
             except Refusal as refusal:
                 self._note_version(controller, refusal)
             except BusError as error:
@@ -112,15 +112,15 @@ class FleetAdoption:
         heartbeat = self._leadership.make_heartbeat()
         requests = {
             controller: AdoptRequest(**self._fleet.requests.request_fields("coordinator"), leader=heartbeat)
-            for controller in accepted
+            for controller in accepted_names
         }
         replies = await self._fleet.requests.request_all("adopt", requests, AdoptedReply, ADOPT_S) if requests else {}
         for controller, reply in replies.items():
             if reply.refused is None and reply.last_job:
                 await self._reports.worked(controller, reply)
             self._take_reply(controller, reply)
-        adopted = [controller for controller, reply in replies.items() if reply.refused is None]
-        await asyncio.gather(*map(self._reports.adopted, adopted))
+        adopted_names = [controller for controller, reply in replies.items() if reply.refused is None]
+        await asyncio.gather(*map(self._reports.adopted, adopted_names))
 
     async def _check_part(self, controller: str, info: ControllerInfo | None) -> None:
         """Take note of the adapter's certificate. Raises `Refusal` for a version too far from this one, `BusError`."""

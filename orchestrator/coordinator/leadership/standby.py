@@ -5,15 +5,17 @@ continue with outdated state when it resumes. Its epoch is over then and no adap
 stay locked; so the standby kills it first. A file beside the journal names the leader's process.
 """
 
+import asyncio
 import json
 import os
 import signal
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from orchestrator.bus.base import Bus, BusSample
-from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.keys import STANDBY, FleetKeys
 from orchestrator.clock.base import Clock, sleep_ns
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.leadership.leadership import LEADER_TIMEOUT_NS, confirm_leader
@@ -57,6 +59,23 @@ async def wait_for_vacancy(bus: Bus, keys: FleetKeys, clock: Clock) -> None:
                 heard_ns += overslept_ns
     finally:
         await subscription.undeclare()
+
+
+async def stand_by(
+    bus: Bus,
+    keys: FleetKeys,
+    clock: Clock,
+    name: str,
+    wait_for_lease: Callable[[], Awaitable[None]] | None = None,
+) -> None:
+    """Wait until there is no leader, and say meanwhile that a standby of this name waits. wait_for_lease: waits for the
+    end of the leader's lease, where the journal has one."""
+    token = await bus.announce(keys.live("coordinator", name, STANDBY))
+    try:
+        waits = [wait_for_vacancy(bus, keys, clock), *([] if wait_for_lease is None else [wait_for_lease()])]
+        await asyncio.gather(*waits)
+    finally:
+        await token.undeclare()
 
 
 class LeaderFile:

@@ -14,8 +14,8 @@ CHECK = "journal"
 def check_journal_server(address: str, fleet: str, policy: JournalPolicy) -> list[Finding]:
     """Connect to the database of a fleet's journal, and look at what it promises. policy: of the fleet file."""
     try:
-        place = FleetDatabase(read_address(address), fleet, policy.copies)
-        session = open_session(place, TOOL)
+        database = FleetDatabase(read_address(address), fleet, policy.copies)
+        session = open_session(database, TOOL)
     except JournalError as error:
         return [Finding(CHECK, "failed", error.text, error.remedy)]
     try:
@@ -25,7 +25,7 @@ def check_journal_server(address: str, fleet: str, policy: JournalPolicy) -> lis
     finally:
         session.close()
     is_short = health.mode == "waits for a copy"
-    text = f"{place.address.text}: PostgreSQL {health.version}, timeline {health.timeline}; {health.mode}"
+    text = f"{database.address.text}: PostgreSQL {health.version}, timeline {health.timeline}; {health.mode}"
     if is_short:
         text += ", and no job is accepted"
     state = "failed" if is_short else "ok"

@@ -13,14 +13,13 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, suppress
+from collections.abc import AsyncGenerator, Callable, Iterator, Mapping, Sequence
+from contextlib import asynccontextmanager, closing, suppress
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from adapters.controller.state.store import FileStore
 from orchestrator.bus.endpoint import BadEndpoint, make_socket_endpoint
 from orchestrator.bus.identity import VARIABLE
 from orchestrator.bus.logfile import rotate_if_large, rotate_open_file
@@ -32,6 +31,7 @@ from orchestrator.model.files.private_files import open_for_append, open_private
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
 from orchestrator.model.links import InProcessLink
 from orchestrator.runtime.live.bridge import bridge_baud
+from orchestrator.runtime.live.commands import EXISTING_JOURNAL, make_coordinator_command
 from orchestrator.runtime.live.killing import kill_process
 from orchestrator.runtime.live.leader_probe import find_leader
 from orchestrator.runtime.live.router_watch import watch_live_router
@@ -52,7 +52,6 @@ from orchestrator.runtime.simulated import find_timing, make_simulator_options
 from orchestrator.runtime.state.folder import (
     ADAPTERS,
     FLEET_FILE,
-    JOURNAL,
     RECORDINGS,
     ROUTER_LATCH,
     UP_LOG,
@@ -72,7 +71,6 @@ STANDBY = "coordinator/standby"
 # What is recorded ends before the recorder.
 _END_ORDER = [GATEWAY.name, COORDINATOR.name, HOST.name, RECORDER.name, "sim", ROUTER.name]
 BUS_SOCKET = "bus.sock"
-EXISTING_JOURNAL = "--existing-journal"
 HAS_WORLDS = sys.platform != "win32"
 """Whether simulated controllers have named pipes, for changes of what surrounds them and wires between them."""
 _OWN_SESSION: dict[str, Any] = (
@@ -125,6 +123,11 @@ class ChildProcess:
         """Exit code of the current start; None while it runs."""
         return self.process.returncode if self.process else None
 
+    def add_option(self, option: str) -> None:
+        """Give it an option from its next start on."""
+        if option not in self.command:
+            self.command = [*self.command, option]
+
     def last_error_line(self) -> str:
         """The last line that it wrote to standard error; "" if it wrote none."""
         lines = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
@@ -160,82 +163,67 @@ class LiveFleet:
 
     async def start(self) -> None:
         """Start all processes, in order. Raises `UpFailed`; then no process is left running."""
-        self.failed = asyncio.get_running_loop().create_future()
-        try:
-            self._lock = StateLock(self.state)
-            self._tasks.spawn(self._rotate_logs())
+        async with self._starting() as lock:
             await self._start_router()
-            self._lock.describe_fleet(self.fleet.fleet, self.connect)
+            lock.describe_fleet(self.fleet.fleet, self.connect)
             file = self.state / FLEET_FILE
             self._beside = asyncio.gather(self._start_recorder(file), self._start_gateway())
             if self.run.simulated:
                 await self._start_simulators()
             replace_private_file(file, self.fleet.to_json())
             await self._start_hosts()
-            command = [*self._make_coordinator_command(file), *self._feed_option]
+            command = [*make_coordinator_command(self.run, self.connect, self.state, file), *self._feed_option]
             coordinator = await self._start_child("coordinator", command)
-            self._require_journal(coordinator)
+            coordinator.add_option(EXISTING_JOURNAL)
             if self.run.standby:
                 # Whichever of the two is restarted becomes the standby of the other.
-                coordinator.command = [*coordinator.command, "--standby"]
+                coordinator.add_option("--standby")
                 await self._start_child(STANDBY, coordinator.command)
             await self._beside
             restart = self._restart_router if "router" in self.children else None
             watch = watch_live_router(self.connect, self.fleet, restart, self.say)
             self._router_watch.spawn(watch)
             self._manager.notify(READY)
-        except BaseException:
-            await self.close()
-            raise
 
     async def start_coordinator(self) -> None:
         """Start only a coordinator, which leads as soon as no other one does, for routers and hosts that run elsewhere.
         Raises `UpFailed`; then no process is left running."""
-        self.failed = asyncio.get_running_loop().create_future()
-        try:
-            self._lock = StateLock(self.state)
-            self._tasks.spawn(self._rotate_logs())
-            self._lock.describe_fleet(self.fleet.fleet, self.connect, COORDINATOR.name)
+        async with self._starting() as lock:
+            lock.describe_fleet(self.fleet.fleet, self.connect, COORDINATOR.name)
             file = self.state / FLEET_FILE
             replace_private_file(file, self.fleet.to_json())
-            command = [*self._make_coordinator_command(file), "--standby", *self._feed_option]
-            self._require_journal(await self._start_child(COORDINATOR.name, command))
+            command = make_coordinator_command(self.run, self.connect, self.state, file)
+            coordinator = await self._start_child(COORDINATOR.name, [*command, "--standby", *self._feed_option])
+            coordinator.add_option(EXISTING_JOURNAL)
             self._manager.notify(READY)
-        except BaseException:
-            await self.close()
-            raise
-
-    def _require_journal(self, coordinator: ChildProcess) -> None:
-        """From its next start on a coordinator begins no journal."""
-        if EXISTING_JOURNAL not in coordinator.command:
-            coordinator.command = [*coordinator.command, EXISTING_JOURNAL]
 
     async def start_simulators(self) -> None:
         """Start only the simulated controllers, for other drivers than those of Tutti. Raises `UpFailed`; then no
         process is left running."""
-        self.failed = asyncio.get_running_loop().create_future()
-        try:
-            self._lock = StateLock(self.state)
+        async with self._starting():
             await self._start_simulators()
             replace_private_file(self.state / FLEET_FILE, self.fleet.to_json())
-        except BaseException:
-            await self.close()
-            raise
 
     async def start_hosts(self) -> None:
         """Start only adapter hosts, with their simulators, for a coordinator on another computer. Raises `UpFailed`;
         then no process is left running."""
-        self.failed = asyncio.get_running_loop().create_future()
-        try:
+        async with self._starting() as lock:
             assert self.run.hosts is not None
-            self._lock = StateLock(self.state)
-            self._tasks.spawn(self._rotate_logs())
-            self._lock.describe_fleet(self.fleet.fleet, self.connect, "+".join(sorted(self.run.hosts)))
+            lock.describe_fleet(self.fleet.fleet, self.connect, "+".join(sorted(self.run.hosts)))
             if self.run.simulated:
                 await self._start_simulators()
             self.save_fleet(self.fleet)
             await self._start_hosts(*self._feed_option)
             self._manager.notify(READY)
+
+    @asynccontextmanager
+    async def _starting(self) -> AsyncGenerator[StateLock]:
+        """Lock the state folder, and start what the block starts; if that fails no process is left running."""
+        self.failed = asyncio.get_running_loop().create_future()
+        try:
+            self._lock = StateLock(self.state)
+            self._tasks.spawn(self._rotate_logs())
+            yield self._lock
         except BaseException:
             await self.close()
             raise
@@ -485,15 +473,6 @@ class LiveFleet:
         command += ["--connect", self.connect, "--state", str(self.state / ADAPTERS), "--parent", str(os.getpid())]
         return [*command, "--log", str(self.state / "log" / f"host-{host}.jsonl")]
 
-    def _make_coordinator_command(self, file: Path) -> list[str]:
-        command = COORDINATOR.make_command(sys.executable, "--fleet", str(file))
-        command += ["--connect", self.connect, "--journal", self.run.journal or str(self.state / JOURNAL)]
-        command += ["--state", str(self.state), *(["--patient"] if self.run.patient else [])]
-        command += ["--log", str(self.state / "log" / "coordinator.jsonl"), "--parent", str(os.getpid())]
-        if not self.run.journal and had_journal(self.state) and not self.run.new_journal:
-            command.append(EXISTING_JOURNAL)
-        return [*command, "--take-over"] if self.run.take_over else command
-
     async def _rotate_logs(self) -> None:
         """Limit the files that children, and a detached `tutti up`, have open as their standard error."""
         folder = self.state / "log"
@@ -616,12 +595,6 @@ def _group_links(controllers: Mapping[str, Controller]) -> Iterator[list[list[st
     for lines in ethernet.values():
         for at in range(0, len(lines), CONTROLLERS_PER_SIMULATOR):
             yield lines[at : at + CONTROLLERS_PER_SIMULATOR]
-
-
-def had_journal(folder: Path) -> bool:
-    """Whether a coordinator has led a fleet with this state folder, and so had a journal there."""
-    stored_memories = [FileStore(path).load() for path in (folder / ADAPTERS).glob("*.json")]
-    return (folder / f"{JOURNAL}.reign").exists() or any(memory.epoch for memory in stored_memories)
 
 
 def simulation_pipe(state: Path, controller: str) -> Path:

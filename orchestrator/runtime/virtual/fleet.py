@@ -16,7 +16,7 @@ from adapters.host.host import AdapterHost, HostEnvironment
 from adapters.host.makes import stops_by_line
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bus.base import Bus
-from orchestrator.bus.keys import STANDBY, FleetKeys
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.latch import FileLatchStore
 from orchestrator.bus.limits import MAX_COORDINATOR_MESSAGE_BYTES, MAX_HOST_MESSAGE_BYTES
 from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
@@ -29,7 +29,7 @@ from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment, RunCommand, run_no_command
 from orchestrator.coordinator.leadership.leadership import AnotherLeader
-from orchestrator.coordinator.leadership.standby import wait_for_vacancy
+from orchestrator.coordinator.leadership.standby import stand_by
 from orchestrator.link.base import LinkRefused, OpenLink
 from orchestrator.link.direct import DirectWire
 from orchestrator.link.memory import MemoryWire, WireLink, WireModel, can_wire, serial_wire
@@ -299,9 +299,7 @@ class VirtualFleet:
         async def run_coordinator() -> None:
             try:
                 if standby:
-                    token = await bus.announce(self.keys.live("coordinator", name, STANDBY))
-                    await wait_for_vacancy(bus, self.keys, self.clock)
-                    await token.undeclare()
+                    await stand_by(bus, self.keys, self.clock, name)
                     for other_name, (silent, _) in self.coordinators.items():
                         if other_name != name and silent.alive:
                             silent.kill()
