@@ -10,10 +10,12 @@ from orchestrator.bus.base import Priority
 from orchestrator.campaign.fleets import makes_with
 from orchestrator.campaign.injection import disk_faults
 from orchestrator.campaign.injection.bus_faults import BusFaults
+from orchestrator.campaign.injection.frame_faults import FrameFaults
 from orchestrator.campaign.injection.repairs import Repair, do_nothing
 from orchestrator.campaign.jobs import find_link_members
 from orchestrator.campaign.link_faults import LinkFaults
 from orchestrator.campaign.stages.fleet_parts import find_traits
+from orchestrator.campaign.stages.hall import HALL_MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.model.fleet import Fleet
@@ -108,6 +110,12 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("disk-bit-flip", "fleet"),
         FaultKind("coordinator-cut", "fleet", jog_may_continue=True, own_seeds=True),
         FaultKind("router-hung", "fleet", own_seeds=True),
+        # Frames of states, and a member that is late while nothing has moved.
+        FaultKind("frame-lost", "host", must_stop=False, harmless=True, own_seeds=True),
+        FaultKind("frames-repeated", "host", must_stop=False, harmless=True, own_seeds=True),
+        FaultKind("frames-reordered", "host", must_stop=False, harmless=True, own_seeds=True),
+        FaultKind("key-frames-lost", "host", must_stop=False, harmless=True, own_seeds=True),
+        FaultKind("load-late", "line", must_stop=False, harmless=True, makes=(HALL_MAKE,), own_seeds=True),
     )
 }
 
@@ -133,6 +141,7 @@ class FaultInjector:
         self._coordinators = 1
         self._links = LinkFaults(fleet, clock, draw)
         self._buses = BusFaults(fleet, clock, draw)
+        self._frames = FrameFaults(fleet, clock, draw)
 
     def find_affected(self, fault: FaultKind, member: str) -> list[str]:
         """Return the controllers that `fault` of `member` affects: all of them if one is the controller with the
@@ -254,8 +263,8 @@ class FaultInjector:
             bus.put(keys.event(controller), self._draw.choice(garbage), Priority.EVENT)
 
     def _inject_host_fault(self, fault: str, member: str) -> Repair:
-        fleet = self._fleet
-        host = f"host/{self._whole_fleet.controllers[member].host}"
+        fleet, name = self._fleet, self._whole_fleet.controllers[member].host
+        host = f"host/{name}"
         bus = fleet.find_process(host).name
         match fault:
             case "host-killed":
@@ -273,6 +282,8 @@ class FaultInjector:
                     fleet.kill(host)
 
                 return restore_fleet
+            case "frame-lost" | "frames-repeated" | "frames-reordered" | "key-frames-lost":
+                return self._frames.inject_fault(fault, name)
             case _:
                 return self._buses.inject_fault(fault, bus, fleet.find_process(f"coordinator/{self.leader_name}").name)
 

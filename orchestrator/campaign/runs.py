@@ -10,32 +10,42 @@ from orchestrator.campaign.faults import FAULTS
 from orchestrator.campaign.fleets import MAKES, STAGE_MAKES
 from orchestrator.campaign.recording.recorder import STAGES, Stage
 from orchestrator.campaign.scenario import SINGLE_MEMBER_STAGES, FaultCell, SeedRun, run_scenario
+from orchestrator.campaign.stages.hall import HALL_LACKS, HALL_MAKE
 from orchestrator.runtime.workers import map_in_processes
 
 
 @dataclass(frozen=True, slots=True)
 class SeedChoice:
     """Which faults the seeds of a campaign have. stages, faults: with any, each seed has one fault, of these at these
-    (none named: all). apart: each adapter host runs on a computer of its own."""
+    (none named: all). apart: each adapter host runs on a computer of its own. hall: each seed has one fault, in a
+    hall."""
 
     stages: tuple[Stage, ...] = ()
     faults: tuple[str, ...] = ()
     apart: bool = False
+    hall: bool = False
 
     @property
     def is_narrowed(self) -> bool:
         """Whether its seeds have one fault each."""
-        return bool(self.stages or self.faults)
+        return bool(self.stages or self.faults or self.hall)
+
+    @property
+    def makes(self) -> tuple[str, ...]:
+        """The makes of its fleets."""
+        return (HALL_MAKE,) if self.hall else MAKES
 
     def list_cells(self) -> list[FaultCell]:
         """List every possible fault of each make at each stage."""
         return [
             FaultCell(stage, name, make)
             for name, fault in FAULTS.items()
-            if (name in self.faults if self.faults else not fault.own_seeds)
-            for make in fault.makes or MAKES
+            if (name in self.faults if self.faults else self.hall or not fault.own_seeds)
+            if not self.hall or name not in HALL_LACKS
+            for make in fault.makes or self.makes
+            if make in self.makes
             for stage in self.stages or STAGES
-            if make in STAGE_MAKES.get(stage, MAKES)
+            if make in STAGE_MAKES.get(stage, self.makes)
         ]
 
 
