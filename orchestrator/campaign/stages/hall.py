@@ -27,9 +27,7 @@ _ARM_SHARE = 0.5
 
 def make_hall_fleet(seed: int) -> Fleet:
     """Return a hall, with crystals drawn by `seed`; each controller has one axis."""
-    fleet = make_light_fleet(HALL_LACKS = ("limit", "stall", "permit-lost", "firmware-hung", "link-slow")
-"""Faults of what a light controller has not: switches and inputs, a firmware of its own, and a wire."""
-HALL_CONTROLLERS, HALL_HOSTS, Random(f"hall {seed}").getrandbits(32))
+    fleet = make_light_fleet(HALL_CONTROLLERS, HALL_HOSTS, Random(f"hall {seed}").getrandbits(32))
     plain: dict[str, Any] = fleet.to_plain()
     for config in plain["controllers"].values():
         config["axes"] = {"x": {**config["axes"]["x"], "soft_limits": _SOFT_LIMITS, "homing": _HOMING}}
