@@ -115,6 +115,7 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("frames-repeated", "host", must_stop=False, harmless=True, own_seeds=True),
         FaultKind("frames-reordered", "host", must_stop=False, harmless=True, own_seeds=True),
         FaultKind("key-frames-lost", "host", must_stop=False, harmless=True, own_seeds=True),
+        FaultKind("states-lost", "fleet", own_seeds=True),
         FaultKind("load-late", "line", must_stop=False, harmless=True, makes=(HALL_MAKE,), own_seeds=True),
     )
 }
@@ -165,6 +166,8 @@ class FaultInjector:
         """Inject the fault now; return its repair, for `repair_fault`."""
         blow = {"fleet": self._inject_fleet_fault, "host": self._inject_host_fault, "line": self._links.inject_fault}
         repair = blow.get(fault.reach, self._inject_controller_fault)(fault.name, member)
+        if fault.name == "states-lost":
+            return self._frames.inject_fault(fault.name, self._whole_fleet.controllers[member].host)
         if fault.name == "second-master":
             await self._change_one_thing(member)
         if fault.name == "operator-resets-early":
@@ -202,10 +205,8 @@ class FaultInjector:
         fleet = self._fleet
         leader = f"coordinator/{self.leader_name}"
         match fault:
-            case "estop" | "operator-resets-early":
-                event = f"e{self._clock.now_ns()}"  # a seed may contain two
-                bus = fleet.net.join_process(f"campaign-{event}")
-                bus.put(fleet.keys.estop, EstopMessage(event=event, actor="campaign").to_json(), Priority.ESTOP)
+            case "estop" | "operator-resets-early" | "states-lost":
+                self._send_estop()
             case "permit-lost":
                 door, number, lost_level = self._find_permit_input()
                 fleet.act_on_controller(door, lambda controller: controller.set_input(number, level=lost_level))
@@ -239,6 +240,11 @@ class FaultInjector:
             case _:  # "none", and those that a client causes: "stop", "operator-interrupts", "operator-lost"
                 pass
         return do_nothing
+
+    def _send_estop(self) -> None:
+        fleet, event = self._fleet, f"e{self._clock.now_ns()}"  # a seed may contain two
+        bus = fleet.net.join_process(f"campaign-{event}")
+        bus.put(fleet.keys.estop, EstopMessage(event=event, actor="campaign").to_json(), Priority.ESTOP)
 
     def _send_forged_messages(self) -> None:
         """Put on the bus what any session can: heartbeats of a leader that does not exist or is far ahead, resets of

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 from orchestrator.campaign.fleets import PATH_MAKE
 from orchestrator.campaign.stages.fleet_parts import TRIGGER_OUTPUT, TRIGGER_PERIOD, find_traits
 from orchestrator.campaign.stages.flown_scans import draw_flown_scan
-from orchestrator.campaign.stages.hall import is_hall
+from orchestrator.campaign.stages.hall import is_hall, name_groups
 from orchestrator.campaign.stages.pairs import find_paired_controllers, move_pairs_as_one
 from orchestrator.campaign.stages.probes import draw_probe
 from orchestrator.campaign.stages.virtual_moves import VIRTUAL_SPEED, draw_virtual_targets
@@ -79,6 +79,7 @@ def make_job(fleet: Fleet, name: str, steps: Sequence[dict[str, Any]]) -> Job:
 
 def make_preparation(fleet: Fleet, axes: list[str], homing: list[str]) -> Job:
     """Return a job that enables axes, and homes some of them."""
+    homing = name_groups(fleet, homing) if is_hall(fleet) else homing
     steps: list[dict[str, Any]] = [{"do": "enable", "axes": axes}]
     return make_job(fleet, "prepare", steps + ([{"do": "home", "axes": homing}] if homing else []))
 

@@ -10,7 +10,7 @@ from orchestrator.campaign.faults import FAULTS
 from orchestrator.campaign.fleets import MAKES, STAGE_MAKES
 from orchestrator.campaign.recording.recorder import STAGES, Stage
 from orchestrator.campaign.scenario import SINGLE_MEMBER_STAGES, FaultCell, SeedRun, run_scenario
-from orchestrator.campaign.stages.hall import HALL_LACKS, HALL_MAKE
+from orchestrator.campaign.stages.hall import HALL_LACKS, HALL_MAKE, HALL_STAGES
 from orchestrator.runtime.workers import map_in_processes
 
 
@@ -30,22 +30,26 @@ class SeedChoice:
         """Whether its seeds have one fault each."""
         return bool(self.stages or self.faults or self.hall)
 
-    @property
-    def makes(self) -> tuple[str, ...]:
-        """The makes of its fleets."""
-        return (HALL_MAKE,) if self.hall else MAKES
-
     def list_cells(self) -> list[FaultCell]:
-        """List every possible fault of each make at each stage."""
+        """List every possible fault of each make at each stage; none where a hall, or what is none, lacks them."""
+        if self.hall:
+            return [
+                FaultCell(stage, name, HALL_MAKE)
+                for name, fault in FAULTS.items()
+                if name in (self.faults or FAULTS)
+                and name not in HALL_LACKS
+                and HALL_MAKE in (fault.makes or (HALL_MAKE,))
+                for stage in HALL_STAGES
+                if stage in (self.stages or HALL_STAGES)
+            ]
         return [
             FaultCell(stage, name, make)
             for name, fault in FAULTS.items()
-            if (name in self.faults if self.faults else self.hall or not fault.own_seeds)
-            if not self.hall or name not in HALL_LACKS
-            for make in fault.makes or self.makes
-            if make in self.makes
+            if (name in self.faults if self.faults else not fault.own_seeds)
+            for make in fault.makes or MAKES
+            if make in MAKES
             for stage in self.stages or STAGES
-            if make in STAGE_MAKES.get(stage, self.makes)
+            if make in STAGE_MAKES.get(stage, MAKES)
         ]
 
 

@@ -14,7 +14,9 @@ from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 REPEATED_NS = (0, 300 * NS_PER_MS)  # from a frame to its copy: others come in between
 OVERTAKEN_NS = (0, 300 * NS_PER_MS)  # by how much a frame is late: by several of the next ones
-NO_KEYS_NS = 10 * NS_PER_S  # as long as from one key frame to the next
+UNANSWERED = ("key-frames-lost", "states-lost")
+"""Faults in which no request for all states is answered either, for as long as from one key frame to the next."""
+UNANSWERED_NS = 10 * NS_PER_S
 
 
 class FrameFaults:
@@ -35,17 +37,18 @@ class FrameFaults:
             "frames-repeated": lambda _: (0, draw.randint(*REPEATED_NS)),
             "frames-reordered": lambda _: (draw.randint(*OVERTAKEN_NS),),
             "key-frames-lost": lambda sample: () if decode_frame(sample.payload).header.key else (0,),
+            "states-lost": lambda sample: () if decode_frame(sample.payload).lines else (0,),
         }
         self._losing = True
         disturbances.disturb_samples(key, deals[fault])
-        if fault != "key-frames-lost":
+        if fault not in UNANSWERED:
             return lambda: disturbances.end(key)
         disturbances.unanswered.add(key)
 
         def end() -> None:
             disturbances.end(key)
 
-        self._clock.call_at_ns(self._clock.now_ns() + NO_KEYS_NS, end, context=Context())
+        self._clock.call_at_ns(self._clock.now_ns() + UNANSWERED_NS, end, context=Context())
         return lambda: None
 
     def _lose_frame(self, _: BusSample) -> Sequence[int]:

@@ -97,8 +97,8 @@ class LearnedTimesKeeper:
 
 
 def find_learned_digest(fleet: Fleet, controller: str) -> str:
-    """The digest of the configuration of a controller, or of all (`FLEET`), with which times were learned; empty for one
-    that the fleet does not have."""
+    """The digest of the configuration of a controller, or of all (`FLEET`), by which learned times are known; empty for
+    one that the fleet does not have."""
     controllers = fleet.controllers
     if controller != FLEET:
         config = controllers.get(controller)
