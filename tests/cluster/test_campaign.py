@@ -67,7 +67,7 @@ def test_no_directed_seed_of_a_hall_violates_an_invariant(first: int) -> None:
 def test_no_seed_of_a_hall_violates_an_invariant(first: int) -> None:
     choice = SeedChoice(hall=True)
     for seed in range(first, first + 10):
-        story = run_scenario(seed, [choice.list_cells()[7 * seed]])  # with stages and faults in turn
+        story = run_scenario(seed, cells_of_seed(7 * seed, choice))  # stages and faults in turn
         assert not story.violations, story.summarize()
 
 
@@ -346,10 +346,11 @@ def test_seeds_of_named_stages_step_through_every_fault_and_make_of_these() -> N
 
 
 def test_findings_of_a_campaign_are_counted() -> None:
-    found = run_campaign([2])
+    choice = SeedChoice(("propose",), ("stop",))
+    found = run_campaign([2], choice=choice)
     assert (found.seeds, len(found.controllers), len(found.jobs)) == (1, 1, 1) and not found.violations
-    assert sum(found.cells.values()) >= sum(found.faults) == PHASES
-    assert len(found.missed_cells) + len(found.cells) == len(CELLS) and found.lowest_hits == 0
+    assert sum(found.cells.values()) > sum(found.faults) == 1  # it is a fault of all
+    assert len(found.missed_cells) + len(found.cells) == len(choice.list_cells()) and found.lowest_hits == 0
 
 
 def test_a_round_has_every_cell_of_a_member_and_pairs_change_with_rounds() -> None:
