@@ -38,8 +38,8 @@ async def send_last_stop(open_link: OpenLink, data: bytes, clock: Clock) -> Stop
 
 
 async def send_stop_once(open_link: OpenLink, data: bytes, clock: Clock, tries: int = 1) -> StopResult:
-    """Open a link, write `data`, listen for `LISTEN_NS`, and close the link. Raises `LinkRefused`, or `LinkClosed` where
-    there was no answer."""
+    """Open a link, write `data`, listen for `LISTEN_NS`, and close the link. Raises `LinkRefused`, or `LinkClosed`
+    without an answer."""
     link = await open_link()
     answer = b""
     try:

@@ -1,7 +1,7 @@
 """The sequence of campaign seeds, and the counts of injected faults by stage, fault and make."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
@@ -31,26 +31,27 @@ class SeedChoice:
         return bool(self.stages or self.faults or self.hall)
 
     def list_cells(self) -> list[FaultCell]:
-        """List every possible fault of each make at each stage; none where a hall, or what is none, lacks them."""
+        """List every possible fault of each make at each stage; none if its fleets have none of them there."""
         if self.hall:
-            return [
-                FaultCell(stage, name, HALL_MAKE)
-                for name, fault in FAULTS.items()
-                if name in (self.faults or FAULTS)
-                and name not in HALL_LACKS
-                and HALL_MAKE in (fault.makes or (HALL_MAKE,))
-                for stage in HALL_STAGES
-                if stage in (self.stages or HALL_STAGES)
-            ]
+            return _list_hall_cells(self.stages or HALL_STAGES, self.faults or tuple(FAULTS))
         return [
             FaultCell(stage, name, make)
             for name, fault in FAULTS.items()
             if (name in self.faults if self.faults else not fault.own_seeds)
             for make in fault.makes or MAKES
-            if make in MAKES
             for stage in self.stages or STAGES
             if make in STAGE_MAKES.get(stage, MAKES)
         ]
+
+
+def _list_hall_cells(stages: Sequence[Stage], faults: Sequence[str]) -> list[FaultCell]:
+    return [
+        FaultCell(stage, name, HALL_MAKE)
+        for name, fault in FAULTS.items()
+        if name in faults and name not in HALL_LACKS and fault.makes in ((), (HALL_MAKE,))
+        for stage in HALL_STAGES
+        if stage in stages
+    ]
 
 
 EVERY_SEED = SeedChoice()

@@ -119,8 +119,8 @@ def _require_seeds(choice: "SeedChoice") -> None:
             exit_with_error(f"there is no fault {fault[:80]!r}", BAD_INPUT, remedy)
     if not choice.list_cells():
         world = "a hall" if choice.hall else "fleets without `--hall`"
-        what = ", ".join([*choice.faults, *choice.stages])
-        exit_with_error(f"{world} cannot have {what} together", BAD_INPUT, "name other faults or stages")
+        names = ", ".join([*choice.faults, *choice.stages])
+        exit_with_error(f"{world} cannot have {names} together", BAD_INPUT, "name other faults or stages")
 
 
 def _cpu_s() -> float:

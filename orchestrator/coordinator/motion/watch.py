@@ -196,8 +196,8 @@ class StepWatch:
         """How many other members of its host are gone as well: their host is the cause."""
         controllers = self._services.fleet.view.fleet.controllers
         host = controllers[member].host
-        of_host = [other for other in self._waiting_end if other != member and controllers[other].host == host]
-        count = sum(self._describe_absence(other) == absence for other in of_host)
+        names = [name for name in self._waiting_end if name != member and controllers[name].host == host]
+        count = sum(self._describe_absence(name) == absence for name in names)
         return f" (as with {count} more of host {host})" if count else ""
 
     async def _next_event(self) -> ControllerEvent | None:
