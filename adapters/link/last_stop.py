@@ -38,7 +38,8 @@ async def send_last_stop(open_link: OpenLink, data: bytes, clock: Clock) -> Stop
 
 
 async def send_stop_once(open_link: OpenLink, data: bytes, clock: Clock, tries: int = 1) -> StopResult:
-    """Open a link, write `data`, listen for `LISTEN_NS`, and close the link. Raises `LinkRefused` or `LinkClosed`."""
+    """Open a link, write `data`, listen for `LISTEN_NS`, and close the link. Raises `LinkRefused`, or `LinkClosed`
+    without an answer."""
     link = await open_link()
     answer = b""
     try:
@@ -49,6 +50,9 @@ async def send_stop_once(open_link: OpenLink, data: bytes, clock: Clock, tries: 
                     answer += (await link.read()).data
         except TimeoutError:
             pass
+        except LinkClosed:
+            if not answer:  # else the stop has arrived, whatever became of the link
+                raise
     finally:
         await link.close()
     return StopResult(written_ns, tries, answer)

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Sequence
 
 from orchestrator.bus.base import BusSample
+from orchestrator.bus.states.frame import decode_frame
+from orchestrator.campaign.stages.hall import is_hall
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 
@@ -13,6 +15,19 @@ class AuthorityChecker:
         self._fleet = fleet
         self._add_violation = add_violation
         self._epochs: dict[str, int] = {}
+
+    async def watch(self) -> None:
+        """Follow what all adapters publish: on keys of their own, or in the frames of their hosts in a hall."""
+        keys, bus = self._fleet.keys, self._fleet.make_client("watcher").bus
+        if is_hall(self._fleet.fleet):
+            await bus.subscribe(keys.host_states(), self._take_frame)
+        else:
+            await bus.subscribe(keys.state(), self.take_state)
+
+    def _take_frame(self, sample: BusSample) -> None:
+        for controller, leaf, payload in decode_frame(sample.payload).lines:
+            if leaf == "state":
+                self.take_state(BusSample(self._fleet.keys.state(controller), payload))
 
     def take_state(self, sample: BusSample) -> None:
         """An adapter publishes its state: it does not go back to an older epoch."""

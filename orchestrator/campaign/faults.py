@@ -10,10 +10,12 @@ from orchestrator.bus.base import Priority
 from orchestrator.campaign.fleets import makes_with
 from orchestrator.campaign.injection import disk_faults
 from orchestrator.campaign.injection.bus_faults import BusFaults
+from orchestrator.campaign.injection.frame_faults import FrameFaults
 from orchestrator.campaign.injection.repairs import Repair, do_nothing
 from orchestrator.campaign.jobs import find_link_members
 from orchestrator.campaign.link_faults import LinkFaults
 from orchestrator.campaign.stages.fleet_parts import find_traits
+from orchestrator.campaign.stages.hall import HALL_MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.model.fleet import Fleet
@@ -108,6 +110,13 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("disk-bit-flip", "fleet"),
         FaultKind("coordinator-cut", "fleet", jog_may_continue=True, own_seeds=True),
         FaultKind("router-hung", "fleet", own_seeds=True),
+        # Frames of states, and a member that is late while nothing has moved.
+        FaultKind("frame-lost", "host", must_stop=False, harmless=True, own_seeds=True),
+        FaultKind("frames-repeated", "host", must_stop=False, harmless=True, own_seeds=True),
+        FaultKind("frames-reordered", "host", must_stop=False, harmless=True, own_seeds=True),
+        FaultKind("key-frames-lost", "host", must_stop=False, harmless=True, own_seeds=True),
+        FaultKind("states-lost", "fleet", own_seeds=True),
+        FaultKind("load-late", "line", must_stop=False, harmless=True, makes=(HALL_MAKE,), own_seeds=True),
     )
 }
 
@@ -133,6 +142,7 @@ class FaultInjector:
         self._coordinators = 1
         self._links = LinkFaults(fleet, clock, draw)
         self._buses = BusFaults(fleet, clock, draw)
+        self._frames = FrameFaults(fleet, clock, draw)
 
     def find_affected(self, fault: FaultKind, member: str) -> list[str]:
         """Return the controllers that `fault` of `member` affects: all of them if one is the controller with the
@@ -156,6 +166,8 @@ class FaultInjector:
         """Inject the fault now; return its repair, for `repair_fault`."""
         blow = {"fleet": self._inject_fleet_fault, "host": self._inject_host_fault, "line": self._links.inject_fault}
         repair = blow.get(fault.reach, self._inject_controller_fault)(fault.name, member)
+        if fault.name == "states-lost":
+            return self._frames.inject_fault(fault.name, self._whole_fleet.controllers[member].host)
         if fault.name == "second-master":
             await self._change_one_thing(member)
         if fault.name == "operator-resets-early":
@@ -193,10 +205,8 @@ class FaultInjector:
         fleet = self._fleet
         leader = f"coordinator/{self.leader_name}"
         match fault:
-            case "estop" | "operator-resets-early":
-                event = f"e{self._clock.now_ns()}"  # a seed may contain two
-                bus = fleet.net.join_process(f"campaign-{event}")
-                bus.put(fleet.keys.estop, EstopMessage(event=event, actor="campaign").to_json(), Priority.ESTOP)
+            case "estop" | "operator-resets-early" | "states-lost":
+                self._send_estop()
             case "permit-lost":
                 door, number, lost_level = self._find_permit_input()
                 fleet.act_on_controller(door, lambda controller: controller.set_input(number, level=lost_level))
@@ -231,6 +241,11 @@ class FaultInjector:
                 pass
         return do_nothing
 
+    def _send_estop(self) -> None:
+        fleet, event = self._fleet, f"e{self._clock.now_ns()}"  # a seed may contain two
+        bus = fleet.net.join_process(f"campaign-{event}")
+        bus.put(fleet.keys.estop, EstopMessage(event=event, actor="campaign").to_json(), Priority.ESTOP)
+
     def _send_forged_messages(self) -> None:
         """Put on the bus what any session can: heartbeats of a leader that does not exist or is far ahead, resets of
         another e-stop, and garbage on every key that something subscribes to."""
@@ -254,8 +269,8 @@ class FaultInjector:
             bus.put(keys.event(controller), self._draw.choice(garbage), Priority.EVENT)
 
     def _inject_host_fault(self, fault: str, member: str) -> Repair:
-        fleet = self._fleet
-        host = f"host/{self._whole_fleet.controllers[member].host}"
+        fleet, name = self._fleet, self._whole_fleet.controllers[member].host
+        host = f"host/{name}"
         bus = fleet.find_process(host).name
         match fault:
             case "host-killed":
@@ -273,6 +288,8 @@ class FaultInjector:
                     fleet.kill(host)
 
                 return restore_fleet
+            case "frame-lost" | "frames-repeated" | "frames-reordered" | "key-frames-lost":
+                return self._frames.inject_fault(fault, name)
             case _:
                 return self._buses.inject_fault(fault, bus, fleet.find_process(f"coordinator/{self.leader_name}").name)
 

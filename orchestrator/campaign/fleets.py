@@ -6,6 +6,7 @@ from typing import Any
 
 from orchestrator.campaign.recording.recorder import Stage
 from orchestrator.campaign.stages.fleet_parts import TRIGGER_NUMBER, TRIGGER_OUTPUT, find_traits
+from orchestrator.campaign.stages.hall import HALL_MAKE, make_hall_fleet
 from orchestrator.campaign.stages.pairs import add_pair
 from orchestrator.campaign.stages.probes import add_touch_inputs
 from orchestrator.campaign.stages.virtual_moves import add_virtual_axes
@@ -144,7 +145,10 @@ def _draft_other(make: str, number: int) -> FleetDraft:
 
 
 def make_stage_fleet(seed: int, wanted: Sequence[str], stages: Collection[Stage]) -> Fleet:
-    """Draw a fleet with at least one controller of each make in `wanted`, and with what jobs of `stages` need."""
+    """Draw a fleet with at least one controller of each make in `wanted`, and with what jobs of `stages` need. A hall
+    has all that its own make needs."""
+    if HALL_MAKE in wanted:
+        return make_hall_fleet(seed)
     makes_of_stage = PAIR_MAKES if "pair" in stages else _draw_zone_makes(seed, wanted) if "zone" in stages else ()
     has_paths = "chunk" in stages or "flying" in stages
     fleet = make_campaign_fleet(seed, [*wanted, *makes_of_stage], paths=has_paths)

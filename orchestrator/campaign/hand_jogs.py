@@ -7,7 +7,7 @@ from contextvars import Context
 from dataclasses import replace
 from random import Random
 
-from orchestrator.campaign.jobs import MAX_MOVE_S, SPEED_FRACTION
+from orchestrator.campaign.jobs import SPEED_FRACTION, find_longest_move_s
 from orchestrator.campaign.records import CampaignPhase, JogRecord
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
@@ -49,7 +49,8 @@ class HandJogs:
         """Jog an axis, and end without a stop command. reached: the future that triggers the fault."""
         axis_name, axis = next(iter(self._virtual.fleet.controllers[name].axes.items()))
         label = f"{name}.{axis_name}"
-        way = -1 if self._find_positions()[label] > axis.limits.velocity * SPEED_FRACTION * MAX_MOVE_S / 2 else 1
+        reach = axis.limits.velocity * SPEED_FRACTION * find_longest_move_s(self._virtual.fleet)
+        way = -1 if self._find_positions()[label] > reach / 2 else 1
         person = self._virtual.make_client("hand")
         with suppress(Refusal):
             async with person.manual_control([label]) as hand:

@@ -150,11 +150,7 @@ class InvariantChecker:
             requests_before = [
                 request for request in promises.get(go.step_id, ()) if since_ns < request.sent_ns < go.sent_ns
             ]
-            of_step = [request for request in requests_before if request.fields["epoch"] == go.fields["epoch"]]
-            # The members of the last arming: arming again with a longer lead time starts over.
-            members = {request.member for request in of_step if request.verb == "arm"}
-            for member in sorted(members):
-                self._check_promise(go, member, of_step)
+            self._check_release(go, requests_before)
         if phase.fault.name == "host-other-file" and phase.fault_ns is not None and phase.repair_ns is not None:
             for request in asked_requests:
                 is_between = phase.fault_ns < request.sent_ns < phase.repair_ns
@@ -164,9 +160,20 @@ class InvariantChecker:
                         "10", f"{request.member} accepted {request.verb} with a configuration other than its host's"
                     )
 
-    def _check_promise(self, go: RecordedRequest, member: str, before: Sequence[RecordedRequest]) -> None:
-        """Check invariant 1: `member` was armed, and has promised, before any member received `go`."""
-        last: dict[str, RecordedRequest] = {request.verb: request for request in before if request.member == member}
+    def _check_release(self, go: RecordedRequest, before: Sequence[RecordedRequest]) -> None:
+        """Check invariant 1 for one `go`: every member of the last arming has made its promise. Arming again with a
+        longer lead time starts over."""
+        last: dict[str, dict[str, RecordedRequest]] = {}
+        for request in before:
+            if request.fields["epoch"] == go.fields["epoch"]:
+                last.setdefault(request.member, {})[request.verb] = request
+        for member in sorted(last):
+            if "arm" in last[member]:
+                self._check_promise(go, member, last[member])
+
+    def _check_promise(self, go: RecordedRequest, member: str, last: Mapping[str, RecordedRequest]) -> None:
+        """Check invariant 1: `member` was armed, and has promised, before any member received `go`. last: the last
+        request to it, by verb."""
         begins_ns = go.fields["t0_fleet_ns"] + go.fields["advance_ns"]
         shift_ns = abs(last["arm"].fields["t0_fleet_ns"] - begins_ns)
         for verb in ("arm", "commit"):

@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 from orchestrator.campaign.fleets import PATH_MAKE
 from orchestrator.campaign.stages.fleet_parts import TRIGGER_OUTPUT, TRIGGER_PERIOD, find_traits
 from orchestrator.campaign.stages.flown_scans import draw_flown_scan
+from orchestrator.campaign.stages.hall import is_hall, name_groups
 from orchestrator.campaign.stages.pairs import find_paired_controllers, move_pairs_as_one
 from orchestrator.campaign.stages.probes import draw_probe
 from orchestrator.campaign.stages.virtual_moves import VIRTUAL_SPEED, draw_virtual_targets
@@ -37,6 +38,7 @@ PATH_TOLERANCE = 8.0  # units: the clocks of a campaign's fleet are young
 ARMED_TIMEOUT = "30 s"  # of a step that waits armed
 ZONE_END_SKEW_NS = 300 * NS_PER_MS  # between both carriages
 MAX_MOVE_S = 5.5  # of a move: some seconds more than injecting and detecting the fault takes
+HALL_MOVE_S = 3.0  # the same where each second of motion is one of 200 controllers
 
 
 MainKind = Literal[
@@ -61,6 +63,11 @@ class JobOrder:
     asked_steps: tuple[Step, ...] = ()
 
 
+def find_longest_move_s(fleet: Fleet) -> float:
+    """The longest time that moves of a fleet take, s."""
+    return HALL_MOVE_S if is_hall(fleet) else MAX_MOVE_S
+
+
 def make_job(fleet: Fleet, name: str, steps: Sequence[dict[str, Any]]) -> Job:
     """Return a job with a loose end skew limit; the axes of a pair are named by the pair.
 
@@ -72,6 +79,7 @@ def make_job(fleet: Fleet, name: str, steps: Sequence[dict[str, Any]]) -> Job:
 
 def make_preparation(fleet: Fleet, axes: list[str], homing: list[str]) -> Job:
     """Return a job that enables axes, and homes some of them."""
+    homing = name_groups(fleet, homing) if is_hall(fleet) else homing
     steps: list[dict[str, Any]] = [{"do": "enable", "axes": axes}]
     return make_job(fleet, "prepare", steps + ([{"do": "home", "axes": homing}] if homing else []))
 
@@ -207,7 +215,7 @@ def make_witness(fleet: Fleet, positions: Mapping[str, float], attempt: int) -> 
     every second one goes the other way, which moves an axis off a limit switch."""
     targets: dict[str, float] = {}
     for name, position in positions.items():
-        reach = fleet.axis(name).limits.velocity * SPEED_FRACTION * MAX_MOVE_S
+        reach = fleet.axis(name).limits.velocity * SPEED_FRACTION * find_longest_move_s(fleet)
         forward = (position < reach / 2) != bool(attempt % 2)
         way_back = find_way_back(fleet, name, position)
         share = WITNESS_SHARE * (reach if forward else -reach)
@@ -276,7 +284,7 @@ def _draw_chain(name: str, axes: _JobAxes, member: str, draw: Random, *, alone: 
             for axis in axes.fleet.controllers[controller].axes
         ):
             reach = axes.fleet.axis(axis).limits.velocity * SPEED_FRACTION
-            way = reach if begins[axis] < reach * MAX_MOVE_S / 2 else -reach
+            way = reach if begins[axis] < reach * find_longest_move_s(axes.fleet) / 2 else -reach
             targets[axis] = round(begins[axis] + way * share, 2)
         axes.positions.update(targets)
         steps.append({"do": "move", "to": targets, "speed": SPEED_FRACTION, **options})
@@ -347,7 +355,7 @@ def _draw_targets(
     axes = [f"{name}.{axis}" for name in controllers for axis in fleet.controllers[name].axes]
     targets: dict[str, float] = {}
     for axis in axes:
-        reach = fleet.axis(axis).limits.velocity * SPEED_FRACTION * MAX_MOVE_S
+        reach = fleet.axis(axis).limits.velocity * SPEED_FRACTION * find_longest_move_s(fleet)
         is_far = positions[axis] < 0.5 * reach
         targets[axis] = round(reach * (draw.uniform(0.75, 1.0) if is_far else draw.uniform(0.0, 0.25)), 2)
     return targets

@@ -8,8 +8,9 @@ from random import Random
 from orchestrator.campaign.injection.arbitrary_replies import ArbitraryReplies
 from orchestrator.campaign.injection.repairs import Repair
 from orchestrator.campaign.stages.fleet_parts import find_traits
-from orchestrator.clock.base import NS_PER_MS
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.virtual import VirtualClock
+from orchestrator.link.direct import DirectWire
 from orchestrator.link.memory import MemoryWire
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
@@ -20,6 +21,7 @@ ARBITRARY_REPLIES_NS = 800 * NS_PER_MS
 # A flapping link: for how long it is closed again and again, how long it is open each time, and how long nothing can be
 # opened then.
 FLAPPING_NS = 1100 * NS_PER_MS
+LATE_NS = NS_PER_S  # of a load that is answered late
 OPEN_NS = (250 * NS_PER_MS, 500 * NS_PER_MS)
 CLOSED_NS = (0, 150 * NS_PER_MS)
 
@@ -63,6 +65,8 @@ class LinkFaults:
                 self._schedule_call(REFUSALS_NS, restore_wire)
             case "flapping-link":
                 self._flap_link(wire)
+            case "load-late":
+                self._answer_load_late(wire, member)
             case "arbitrary-replies":
                 replies = ArbitraryReplies(self._draw)
                 wire.to_near = replies.change_frames if can else replies.change_bytes
@@ -71,6 +75,19 @@ class LinkFaults:
                 fleet.freeze(f"sim/{member}")
                 return lambda: fleet.resume(f"sim/{member}")
         return restore_wire
+
+    def _answer_load_late(self, wire: MemoryWire, member: str) -> None:
+        """Answer the next load of a move late, once."""
+        loads = find_traits(self._whole_fleet.controllers[member].adapter).loads
+        assert isinstance(wire, DirectWire) and loads is not None  # the makes of this fault
+
+        def find_late_ns(request: bytes) -> int:
+            if not loads(request):
+                return 0
+            wire.find_late_ns = None
+            return LATE_NS
+
+        wire.find_late_ns = find_late_ns
 
     def _flap_link(self, wire: MemoryWire) -> None:
         """Close the link again and again for a while; after each time it cannot be opened at once."""

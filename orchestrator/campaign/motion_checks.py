@@ -19,9 +19,9 @@ REQUESTED_STOP_NS = 500 * NS_PER_MS
 REST_AFTER_END_NS = (
     400 * NS_PER_MS
 )  # from the end of a failed job, by the journal, to the rest of its axes, without the ramp
-REQUESTED_STOPS = ("stop", "estop", "operator-interrupts", "operator-resets-early")
+REQUESTED_STOPS = ("stop", "estop", "operator-interrupts", "operator-resets-early", "states-lost")
 # Faults after which no waiting job begins until the operator has started the queue.
-BREAKS = ("stop", "estop", "operator-resets-early", "fleet-restarted", "disk-bit-flip")
+BREAKS = ("stop", "estop", "operator-resets-early", "fleet-restarted", "disk-bit-flip", "states-lost")
 ABSENCE_NS = SESSION_TIMEOUT_NS + REQUESTED_STOP_NS  # from a lost command to the start of the deceleration
 JOG_END_NS = 700 * NS_PER_MS  # from the last renewal of a jog to the end of its motion, without the ramp
 

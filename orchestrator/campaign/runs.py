@@ -1,7 +1,7 @@
 """The sequence of campaign seeds, and the counts of injected faults by stage, fault and make."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
@@ -10,25 +10,30 @@ from orchestrator.campaign.faults import FAULTS
 from orchestrator.campaign.fleets import MAKES, STAGE_MAKES
 from orchestrator.campaign.recording.recorder import STAGES, Stage
 from orchestrator.campaign.scenario import SINGLE_MEMBER_STAGES, FaultCell, SeedRun, run_scenario
+from orchestrator.campaign.stages.hall import HALL_LACKS, HALL_MAKE, HALL_STAGES
 from orchestrator.runtime.workers import map_in_processes
 
 
 @dataclass(frozen=True, slots=True)
 class SeedChoice:
     """Which faults the seeds of a campaign have. stages, faults: with any, each seed has one fault, of these at these
-    (none named: all). apart: each adapter host runs on a computer of its own."""
+    (none named: all). apart: each adapter host runs on a computer of its own. hall: each seed has one fault, in a
+    hall."""
 
     stages: tuple[Stage, ...] = ()
     faults: tuple[str, ...] = ()
     apart: bool = False
+    hall: bool = False
 
     @property
     def is_narrowed(self) -> bool:
         """Whether its seeds have one fault each."""
-        return bool(self.stages or self.faults)
+        return bool(self.stages or self.faults or self.hall)
 
     def list_cells(self) -> list[FaultCell]:
-        """List every possible fault of each make at each stage."""
+        """List every possible fault of each make at each stage; none if its fleets have none of them there."""
+        if self.hall:
+            return _list_hall_cells(self.stages or HALL_STAGES, self.faults or tuple(FAULTS))
         return [
             FaultCell(stage, name, make)
             for name, fault in FAULTS.items()
@@ -37,6 +42,16 @@ class SeedChoice:
             for stage in self.stages or STAGES
             if make in STAGE_MAKES.get(stage, MAKES)
         ]
+
+
+def _list_hall_cells(stages: Sequence[Stage], faults: Sequence[str]) -> list[FaultCell]:
+    return [
+        FaultCell(stage, name, HALL_MAKE)
+        for name, fault in FAULTS.items()
+        if name in faults and name not in HALL_LACKS and fault.makes in ((), (HALL_MAKE,))
+        for stage in HALL_STAGES
+        if stage in stages
+    ]
 
 
 EVERY_SEED = SeedChoice()

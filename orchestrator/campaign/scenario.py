@@ -45,6 +45,7 @@ from orchestrator.campaign.recording.recorder import (
 )
 from orchestrator.campaign.recording.rest import find_at_rest
 from orchestrator.campaign.records import CampaignPhase
+from orchestrator.campaign.stages.hall import is_hall, keep_learned_times
 from orchestrator.campaign.zone_checks import may_refuse_submission
 from orchestrator.client.api import Tutti
 from orchestrator.client.attendance import Attendance
@@ -139,6 +140,8 @@ def run_scenario(seed: int, cells: Sequence[FaultCell], *, apart: bool = False) 
         scenario = _Scenario(seed_run, clock, make_computers(seed_run.fleet, clock, seed) if apart else {})
         stages: list[Stage] = [cell.stage for cell in cells]
         programs = StartRequests(scenario.virtual, seed, stages), FlightActs(scenario.virtual, seed, stages)
+        if is_hall(seed_run.fleet):
+            keep_learned_times(scenario.virtual)
         try:
             await scenario.run_phases()
         finally:
@@ -187,7 +190,7 @@ class _Scenario:
         """Prepare the fleet, and run one phase after the other."""
         await self.virtual.start()
         client = self.virtual.make_client()
-        await self.virtual.make_client("watcher").bus.subscribe(self.virtual.keys.state(), self._authority.take_state)
+        await self._authority.watch()
         looking = asyncio.get_running_loop().create_task(self._poll_velocities())
         axes = list(self._seed_run.fleet.controllers)
         if await self._prepare_axes(client, axes, axes):

@@ -5,9 +5,10 @@ virtual time the faults of one can be injected all the same.
 """
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from orchestrator.clock.base import Clock
+from orchestrator.clock.base import Clock, sleep_ns
 from orchestrator.link.base import LinkClosed, LinkRefused, ReceivedBytes
 from orchestrator.link.memory import FarConnection, LinkAcceptor, MemoryWire
 
@@ -20,11 +21,13 @@ class DirectLink:
     clock: of its time stamps. wire: where faults are injected.
     """
 
-    def __init__(self, endpoint: str, clock: Clock, far: LinkAcceptor, wire: MemoryWire | None = None) -> None:
+    def __init__(self, endpoint: str, clock: Clock, far: LinkAcceptor, wire: "DirectWire | None" = None) -> None:
         self._endpoint = endpoint
         self._clock = clock
         self._wire = wire
-        self._received: deque[bytes] = deque()
+        self._received: deque[tuple[bytes, int]] = deque()
+        """Each with how late it is, ns."""
+        self._late_ns = 0
         try:
             self._far: FarConnection | None = far.connect(PORT, self._receive, self._lose)
         except Exception as error:
@@ -45,6 +48,7 @@ class DirectLink:
         at_ns, wire = self._clock.now_ns(), self._wire
         if wire is not None and wire.to_far is not None:
             data = wire.to_far(data)
+        self._late_ns = 0 if wire is None or wire.find_late_ns is None else wire.find_late_ns(data)
         if wire is None or not wire.cut:
             self._far.receive_bytes(data)
         return at_ns
@@ -52,7 +56,10 @@ class DirectLink:
     async def read(self) -> ReceivedBytes:
         if not self._received:
             raise LinkClosed(f"{self._endpoint} {'is closed' if self._far is None else 'does not answer'}")
-        return ReceivedBytes(self._received.popleft(), self._clock.now_ns())
+        data, late_ns = self._received.popleft()
+        if late_ns:
+            await sleep_ns(self._clock, late_ns)
+        return ReceivedBytes(data, self._clock.now_ns())
 
     def fileno(self) -> int:
         return -1
@@ -75,7 +82,7 @@ class DirectLink:
         if wire is not None and wire.to_near is not None:
             data = wire.to_near(data)
         if data:
-            self._received.append(data)
+            self._received.append((data, self._late_ns))
 
     def _lose(self) -> None:
         self._far = None
@@ -85,7 +92,10 @@ class DirectLink:
 
 @dataclass(slots=True)
 class DirectWire(MemoryWire):
-    """In virtual time, what connects an adapter with a controller that is in its process when it is live."""
+    """In virtual time, what connects an adapter with a controller that is in its process when it is live. find_late_ns:
+    how late the answer to a request is; None: none is."""
+
+    find_late_ns: Callable[[bytes], int] | None = None
 
     async def open_link(self, clock: Clock | None = None) -> DirectLink:
         """Open a link. Raises `LinkRefused`."""

@@ -62,6 +62,7 @@ class CampaignTraits:
     touch: the input of its controllers that a probe is stopped by; None: the campaign probes with none.
     beam: how one of its axes carries a beam with that of another controller; None: the campaign has none such.
     body: how one of its axes carries a body of a keep-out zone; None: the campaign has none such.
+    loads: whether a request loads a move, on a link whose answers can be late; None: none can.
     """
 
     refuse_reply: Callable[[bytes], bytes] | None = None
@@ -75,6 +76,7 @@ class CampaignTraits:
     touch: TouchInput | None = None
     beam: BeamCarrier | None = None
     body: BodyCarrier | None = None
+    loads: Callable[[bytes], bool] | None = None
 
 
 def campaign_traits(simulator: object) -> CampaignTraits:

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Controller
+from sim.core.campaign import CampaignTraits
 from sim.core.controller import FirmwareTiming, VectorBench
 from sim.core.oscillator import Oscillator
 from sim.light.controller import LightController
@@ -25,6 +26,8 @@ class LightOptions(BaseModel):
 
 class LightSimulator:
     """The model. It is for benchmarks and tests: the makes that are listed do not have it."""
+
+    campaign = CampaignTraits(start_class="clock", loads=lambda request: request.startswith(b"L"))
 
     @property
     def model(self) -> str:

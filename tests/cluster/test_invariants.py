@@ -31,10 +31,13 @@ from adapters.yaskawa.smc4000.driver import SMC4000Driver
 from adapters.yaskawa.triggers import probe as latch_probe
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from orchestrator.campaign.scenario import FaultCell, run_scenario
+from orchestrator.campaign.stages.hall import HALL_MAKE
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.adoption import FleetAdoption
 from orchestrator.coordinator.fleet.infos import ControllerInfos
 from orchestrator.coordinator.fleet.permits import PermitWatch
+from orchestrator.coordinator.fleet.requests import MemberRequests
+from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.queue.attendance import SessionMonitor
 from orchestrator.coordinator.jobs.queue.conditions import Obstacle
 from orchestrator.coordinator.jobs.queue.deliberate_starts import DeliberateStarts
@@ -345,6 +348,24 @@ def goes_on_along_lines(patch: Patch) -> None:
     patch.setattr(program, "probe_lines", lambda axes: tuple(line.replace("STS;", "") for line in probe_lines(axes)))
 
 
+def waits_for_no_late_member(patch: Patch) -> None:
+    """Members that have not answered after 20 ms are left out of what all have to promise."""
+    honest = MemberRequests.request_all
+
+    async def hasty(self: MemberRequests, verb: str, requests: Any, reply: Any, *rest: Any, **named: Any) -> Any:
+        del rest
+        return await honest(self, verb, requests, reply, 0.02, named.get("answered"))
+
+    patch.setattr(MemberRequests, "request_all", hasty)
+    patch.setattr(StartSequence, "_judge_frozen_mappings", nothing_async)
+    patch.setattr(StartSequence, "_disarm_if_refused", nothing_async)
+
+
+def misses_lost_hosts(patch: Patch) -> None:
+    """A member whose host is gone is waited for until its step should have ended."""
+    patch.setattr(FleetView, "describe_absence", nothing)
+
+
 class Mutation(NamedTuple):
     """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`. first: the
     seed that is tried first."""
@@ -391,6 +412,8 @@ MUTATIONS = (
     Mutation("20", goes_on_along_lines, FaultCell("probe", "none", "smc4000"), 6),
     Mutation("22", stops_no_member, FaultCell("pair", "power-off", "cia402"), 1),
     Mutation("11", waits_on_without_a_permit, FaultCell("armed-waiting", "permit-lost", "smc4000"), 4),
+    Mutation("1", waits_for_no_late_member, FaultCell("propose", "load-late", HALL_MAKE), 1),
+    Mutation("3", misses_lost_hosts, FaultCell("motion", "host-killed", HALL_MAKE), 1),
 )
 # A fault does not find its precondition in every one. The first three are enough for every mutation, as a rule.
 SEEDS = (1, 4, 9, 0, 2, 3, 5, 6, 7, 8, 10, 11)

@@ -3,6 +3,7 @@
 import asyncio
 
 import pytest
+from cluster.worlds import job
 
 from adapters.contract import DriverSetup
 from adapters.light.make import MAKE, LightOptions
@@ -17,7 +18,8 @@ from orchestrator.link.base import Link
 from orchestrator.link.direct import DirectLink
 from orchestrator.model.fleet import Controller
 from orchestrator.model.plugins import plugin_names
-from orchestrator.runtime.simulated_fleets import make_light
+from orchestrator.runtime.simulated_fleets import make_light, make_light_fleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.core.oscillator import Oscillator
 from sim.light.controller import LightController
 
@@ -73,3 +75,27 @@ def test_clock_bounds_hold_for_every_rate() -> None:
             assert abs(mapping.rate_ppm + ppm) < 0.2
 
     run_virtual(follow)
+
+
+def test_a_moving_controller_whose_link_was_cut_is_stopped_and_there_again() -> None:
+    """A stop that could not be sent comes before everything else, over a link of its own."""
+
+    async def main(clock: VirtualClock) -> None:
+        fleet = VirtualFleet(make_light_fleet(2, 1), clock, 1)
+        await fleet.start()
+        client = fleet.make_client()
+        report = await client.wait_for_job(
+            await client.submit(job("[{do: enable, axes: [c0.x]}, {do: home, axes: [c0.x]}]"))
+        )
+        assert report.state == "done", report.reason
+        await client.submit(job("[{do: move, to: {c0.x: 200}, speed: 0.1}]"))
+        await fleet.wait_until(lambda states: states["c0"].mode == "moving")
+        fleet.wires["c0"].cut = True
+        await asyncio.sleep(2.0)
+        assert (await client.status())["c0"].mode == "offline" and fleet.controllers["c0"].is_moving("1")
+        fleet.wires["c0"].cut = False
+        await fleet.wait_until(lambda states: states["c0"].mode == "idle" and not states["c0"].faults, limit_s=5.0)
+        motion = fleet.controllers["c0"].commanded_motions[-1]
+        assert motion.slowing_ns is not None and motion.end_counts is not None and motion.end_counts < 100_000
+
+    run_virtual(main)

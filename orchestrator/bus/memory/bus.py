@@ -19,6 +19,7 @@ from orchestrator.bus.base import BusClosed, BusDeclaration, BusSample, Priority
 from orchestrator.bus.budgets import find_most_bytes, is_estop_key
 from orchestrator.bus.expression import check_expression, check_key, check_put
 from orchestrator.bus.limits import MAX_MESSAGE_BYTES
+from orchestrator.bus.memory.disturbances import Disturbances
 from orchestrator.bus.memory.medium import BusLatency, BusProcess, CallQueue
 from orchestrator.bus.memory.network import Network
 from orchestrator.bus.memory.presence import PresenceBoard, PresenceToken
@@ -68,6 +69,7 @@ class MemoryNet:
         self._lossy: dict[str, float] = {}
         self.traffic = Uncounted()  # replaced by what counts
         self.network = Network(seed)
+        self.disturbances = Disturbances()
         self.subscriptions = SubscriptionBoard(self)
         self.presence = PresenceBoard(self)
         self.requests = RequestBoard(self)
@@ -262,12 +264,15 @@ class MemoryNet:
         share = self._lossy.get(sender.name, 0.0) if priority is Priority.STATE else 0.0
         lane = (sender.name, sample.key, priority)
         self.traffic.count_sent(sender.name, sample.key, len(sample.payload))
+        copies = self.disturbances.deal(sample)
         for receiver, subscriptions in self.subscriptions.find_receivers(sample.key):
             if self.is_cut(sender, receiver) or (share and self._rng.random() < share):
                 continue
             at_ns = max(self.arrival_ns(sender, receiver, priority), receiver.last_arrivals_ns.get(lane, 0))
             receiver.last_arrivals_ns[lane] = at_ns
-            self.schedule_call(at_ns, partial(self._deliver_sample, sender, receiver, subscriptions, sample, priority))
+            deliver = partial(self._deliver_sample, sender, receiver, subscriptions, sample, priority)
+            for late_ns in copies:
+                self.schedule_call(at_ns + late_ns, deliver)
 
     def _deliver_sample(
         self,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from orchestrator.bus.base import Priority
+from orchestrator.bus.memory.disturbances import Disturbances
 from orchestrator.bus.memory.traffic import Uncounted
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 from orchestrator.clock.virtual import VirtualClock
@@ -102,6 +103,7 @@ class Medium(Protocol):
 
     clock: VirtualClock
     traffic: Uncounted
+    disturbances: Disturbances
 
     def schedule_call(self, at_ns: int, call: Callable[[], None]) -> None: ...
 

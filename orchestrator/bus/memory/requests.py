@@ -177,7 +177,8 @@ class RequestBoard:
         self, served: ServedExpression, question: _PendingRequest, replies: Sequence[Callable[[], None]]
     ) -> None:
         def deliver_replies() -> None:
-            if not self._net.is_cut(served.bus, question.asker):
+            is_lost = question.outcome.key in self._net.disturbances.unanswered
+            if not is_lost and not self._net.is_cut(served.bus, question.asker):
                 self._net.traffic.count_received(question.asker.name, self._net.clock.now_ns())
                 self._net.deliver_call(question.asker, Priority.EVENT, settle_request)
 

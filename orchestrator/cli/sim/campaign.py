@@ -12,7 +12,7 @@ from orchestrator.cli.base.errors import exit_with_error
 
 if TYPE_CHECKING:
     from orchestrator.campaign.recording.recorder import Stage
-    from orchestrator.campaign.runs import CampaignResult
+    from orchestrator.campaign.runs import CampaignResult, SeedChoice
     from orchestrator.campaign.scenario import SeedRun
 
 STAGE_NAMES = (
@@ -53,6 +53,7 @@ STAGE_NAMES = (
     "at-once, live, armed-waiting, flying, virtual, pair, probe and zone.",
 )
 @click.option("--fault", "faults", multiple=True, help="Seeds with one fault, of this kind; several can be given.")
+@click.option("--hall", is_flag=True, help="Seeds with one fault, in fleets of 200 light controllers on four hosts.")
 @click.option("--apart", is_flag=True, help="Each adapter host on a computer with a clock and network of its own.")
 @processes_option
 @json_option
@@ -65,6 +66,7 @@ def campaign(
     processes: int,
     *,
     trace: bool,
+    hall: bool,
     apart: bool,
     as_json: bool,
 ) -> None:
@@ -72,15 +74,10 @@ def campaign(
     true motions against the invariants of the design. A seed is fully deterministic. Exit 1 when an invariant is
     violated.
     """
-    from orchestrator.campaign.faults import FAULTS
     from orchestrator.campaign.runs import SeedChoice, run_campaign, run_seed
-    from orchestrator.model.fleet_names import suggest_name
 
-    for fault in faults:
-        if fault not in FAULTS:
-            remedy = f"{suggest_name(fault, FAULTS)}choose one of: {', '.join(FAULTS)}"
-            exit_with_error(f"there is no fault {fault[:80]!r}", BAD_INPUT, remedy)
-    choice = SeedChoice(stages, faults, apart)
+    choice = SeedChoice(stages, faults, apart, hall)
+    _require_seeds(choice)
     if seed is not None:
         story = run_seed(seed, choice)
         if as_json:
@@ -91,7 +88,7 @@ def campaign(
         raise SystemExit(FAILED if story.violations else 0)
 
     stage_options = [*(f" --stage {stage}" for stage in stages), *(f" --fault {fault}" for fault in faults)]
-    options = "".join([*stage_options, " --apart" if apart else ""])
+    options = "".join([*stage_options, " --hall" * hall, " --apart" * apart])
 
     def print_run(story: "SeedRun") -> None:
         if story.violations and not as_json:
@@ -109,6 +106,21 @@ def campaign(
         console.print(", ".join(f"{name} {value}" for name, value in figures.items()), soft_wrap=True)
     if result.violations:
         raise SystemExit(FAILED)
+
+
+def _require_seeds(choice: "SeedChoice") -> None:
+    """Exit with an error where there is no seed of these faults at these stages."""
+    from orchestrator.campaign.faults import FAULTS
+    from orchestrator.model.fleet_names import suggest_name
+
+    for fault in choice.faults:
+        if fault not in FAULTS:
+            remedy = f"{suggest_name(fault, FAULTS)}choose one of: {', '.join(FAULTS)}"
+            exit_with_error(f"there is no fault {fault[:80]!r}", BAD_INPUT, remedy)
+    if not choice.list_cells():
+        world = "a hall" if choice.hall else "fleets without `--hall`"
+        names = ", ".join([*choice.faults, *choice.stages])
+        exit_with_error(f"{world} cannot have {names} together", BAD_INPUT, "name other faults or stages")
 
 
 def _cpu_s() -> float:
@@ -135,14 +147,13 @@ def _make_figures(found: "CampaignResult", cpu_s: float) -> dict[str, Any]:
 
 def _print_coverage(found: "CampaignResult") -> None:
     """Print the number of hits by fault, affected make, and stage."""
-    from orchestrator.campaign.fleets import MAKES
     from orchestrator.campaign.runs import FaultCell
     from orchestrator.monitor.tables import make_plain_table
 
     stages: list[Stage] = list(dict.fromkeys(cell.stage for cell in found.possible))
     table = make_plain_table(["fault", "make", *(f"{stage}>" for stage in stages)])
     for fault in dict.fromkeys(cell.fault for cell in found.possible):
-        for make in MAKES:
+        for make in dict.fromkeys(cell.make for cell in found.possible):
             table.add_row(fault, make, *(str(found.cells[FaultCell(stage, fault, make)]) for stage in stages))
     console.print(table)
 

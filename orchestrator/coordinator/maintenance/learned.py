@@ -16,6 +16,7 @@ from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.journal.store import LearnedStore
 from orchestrator.coordinator.motion.lead_time import KNOWN_AFTER, LeadTimeEstimator
 from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import Reply
 from orchestrator.model.operation.learned import FLEET, ForgetTimes, LearnedTimes
 from orchestrator.model.report import StepRecording, StepReport
@@ -92,10 +93,15 @@ class LearnedTimesKeeper:
                 await self._execute(self._store.save_times, learned_times)
 
     def _find_digest(self, controller: str) -> str:
-        """The digest of the configuration of a controller, or of all; empty for one that the fleet does not have."""
-        controllers = self._access.view.fleet.controllers
-        if controller != FLEET:
-            config = controllers.get(controller)
-            return "" if config is None else config.digest
-        digests = "\n".join(f"{name} {config.digest}" for name, config in sorted(controllers.items()))
-        return sha256(digests.encode()).hexdigest()
+        return find_learned_digest(self._access.view.fleet, controller)
+
+
+def find_learned_digest(fleet: Fleet, controller: str) -> str:
+    """The digest of the configuration of a controller, or of all (`FLEET`), by which learned times are known; empty for
+    one that the fleet does not have."""
+    controllers = fleet.controllers
+    if controller != FLEET:
+        config = controllers.get(controller)
+        return "" if config is None else config.digest
+    digests = "\n".join(f"{name} {config.digest}" for name, config in sorted(controllers.items()))
+    return sha256(digests.encode()).hexdigest()

@@ -126,8 +126,7 @@ class StepWatch:
         view = self._services.fleet.view
         if view.is_silent(member):
             return False
-        is_other = view.describe_absence(member, self._planned.instances.get(member)) is not None
-        return is_other or view.has_all_events(member, since_ns)
+        return self._describe_absence(member) is not None or view.has_all_events(member, since_ns)
 
     def _take_event(self, event: ControllerEvent) -> None:
         member = event.controller
@@ -179,9 +178,9 @@ class StepWatch:
     def _describe_missing(self, ends_ns: int) -> str | None:
         now_ns, view = self._services.leadership.fleet_now_ns(), self._services.fleet.view
         for member in sorted(self._waiting_end):
-            absence = view.describe_absence(member, self._planned.instances.get(member))
+            absence = self._describe_absence(member)
             if absence is not None:
-                return f"{member}: {absence}"
+                return f"{member}: {absence}{self._describe_others(member, absence)}"
         # Controllers on one line are polled in turn, or are armed for other jobs.
         neighbours = max(view.neighbours[member] for member in self._agreement.proposals)
         if self._waiting_start and now_ns > self._state.t0_fleet_ns + STARTED_NS + neighbours * STARTED_TURN_NS:
@@ -196,6 +195,17 @@ class StepWatch:
         is_ours = (event.job, event.step) == (request.job_id, request.index)
         if is_ours and event.controller in self._agreement.proposals:
             self._events.put_nowait(event)
+
+    def _describe_absence(self, member: str) -> str | None:
+        return self._services.fleet.view.describe_absence(member, self._planned.instances.get(member))
+
+    def _describe_others(self, member: str, absence: str) -> str:
+        """How many other members of its host are gone as well: their host is the cause."""
+        controllers = self._services.fleet.view.fleet.controllers
+        host = controllers[member].host
+        names = [name for name in self._waiting_end if name != member and controllers[name].host == host]
+        count = sum(self._describe_absence(name) == absence for name in names)
+        return f" (as with {count} more of host {host})" if count else ""
 
     async def _next_event(self) -> ControllerEvent | None:
         """The next event of this step; None after a while, or when a permit was lost."""

@@ -10,17 +10,16 @@ import contextlib
 from orchestrator.bus.base import BusDeclaration, BusSample
 from orchestrator.bus.states.feed import Arrival, ControllerFeed
 from orchestrator.client import Tutti
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
+from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.gateway.stream.fleet_state import FleetState
 from orchestrator.gateway.stream.need import EVERYTHING, StreamNeed
-from orchestrator.gateway.stream.stream_view import StreamReader, StreamView
+from orchestrator.gateway.stream.stream_view import TICK_NS, StreamReader, StreamView
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import ListJobs
 from orchestrator.model.operation.alarms import AlarmsListed, ListAlarms
 from orchestrator.model.report import FINISHED_STATES, QueueEntry, QueueState
 
-TICK_NS = 50 * NS_PER_MS
 LOOK_NS = 5 * NS_PER_S  # period of asking for what is published on change only
 ASK_S = 2.0
 MAX_LISTED = 200  # jobs of the queue, as many as are published

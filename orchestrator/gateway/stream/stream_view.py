@@ -9,6 +9,8 @@ from orchestrator.gateway.stream.fleet_state import FleetState
 from orchestrator.gateway.stream.merge_patch import make_patch
 from orchestrator.gateway.stream.need import StreamNeed
 
+TICK_NS = 50 * NS_PER_MS
+"""Least time between two differences, and between two whole states for one reader, however often it asks for one."""
 QUIET_NS = 500 * NS_PER_MS  # longest time without a difference, also if nothing has changed
 
 
@@ -25,7 +27,7 @@ class StreamView:
         self.number = 0
         self.patch = ""
         self.readers: set[StreamReader] = set()
-        self._state, self._clock = state, clock
+        self._state, self.clock = state, clock
         self._shown: dict[str, Any] = {}
         self._framed_ns = 0
         self._state_frame: tuple[int, str] | None = None
@@ -38,14 +40,14 @@ class StreamView:
 
     def advance(self, *, changed: bool) -> None:
         """Make the next difference, if there is one or it is time for one. changed: the fleet may be another."""
-        is_due = self.number == 0 or self._clock.now_ns() - self._framed_ns >= QUIET_NS
+        is_due = self.number == 0 or self.clock.now_ns() - self._framed_ns >= QUIET_NS
         if not changed and not is_due:
             return
         shown_before, self._shown = self._shown, self._state.compose(self.need)
         patch = make_patch(shown_before, self._shown)
         if not patch and not is_due:
             return
-        self._framed_ns = self._clock.now_ns()
+        self._framed_ns = self.clock.now_ns()
         self.number += 1
         self.patch = encode({"n": self.number, "patch": patch})
         for reader in list(self.readers):
@@ -60,15 +62,23 @@ class StreamReader:
         self.wake: Callable[[], None] = lambda: None
         self._choose_view = choose_view
         self._number: int | None = None
+        self._whole_ns: int | None = None
+        """When it has taken the whole state last."""
 
     def take_frame(self) -> str | None:
-        """The newest difference, or the whole state if the reader has missed one; None: nothing is new."""
+        """The newest difference, or the whole state if the reader has missed one; None: nothing is new, or the whole
+        state was taken a moment ago, and goes with the next difference."""
         view = self.view
         if view.number in (0, self._number):
             return None
-        frame = view.patch if self._number == view.number - 1 else view.make_state_frame()
-        self._number = view.number
-        return frame
+        if self._number == view.number - 1:
+            self._number = view.number
+            return view.patch
+        now_ns = view.clock.now_ns()
+        if self._whole_ns is not None and now_ns < self._whole_ns + TICK_NS:
+            return None
+        self._number, self._whole_ns = view.number, now_ns
+        return view.make_state_frame()
 
     def forget(self) -> None:
         """Let the next frame be the whole state."""

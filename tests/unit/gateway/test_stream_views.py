@@ -183,6 +183,28 @@ def test_of_a_thousand_controllers_at_50_a_second_a_reader_of_all_has_20_frames_
     run_hub(main)
 
 
+def test_a_reader_that_asks_for_everything_at_50_a_second_has_20_states_and_delays_no_other() -> None:
+    async def main(clock: VirtualClock, hub: StreamHub) -> None:
+        publish(hub, *(sample(name_of(number)) for number in range(MANY)))
+        other, greedy = Page(hub.add_reader()), Page(hub.add_reader())
+        for step in range(50):
+            publish(hub, *(sample(name_of(number), position=step + 1) for number in range(0, MANY, 100)))
+            greedy.reader.forget()
+            await sleep_ns(clock, 20 * NS_PER_MS)
+        assert greedy.states == greedy.frames <= 21  # in a second
+        assert other.states == 1 and 19 <= other.frames <= 21
+        await sleep_ns(clock, 50 * NS_PER_MS)
+        assert greedy.state == other.state
+        # Where nothing changes as well.
+        frames = greedy.frames
+        for _ in range(50):
+            greedy.reader.forget()
+            await sleep_ns(clock, 20 * NS_PER_MS)
+        assert greedy.frames - frames <= 20
+
+    run_hub(main)
+
+
 def test_leases_and_stages_are_those_of_the_needed_controllers() -> None:
     async def main(clock: VirtualClock) -> None:
         state = FleetState(KEYS, clock)
