@@ -18,6 +18,12 @@ ANY_ESTOP = f"{ROOT}/*/estop"
 ANY_STATE, ANY_TIME = f"{ROOT}/*/ctl/*/state", f"{ROOT}/*/time"
 """What the fleets on a bus are found by."""
 
+ANY_HOST_STATES = f"{ROOT}/*/host/*/states"
+"""The frames of every host of every fleet on the bus."""
+
+ANY_OLD_CONTROLLER = f"{ROOT}/*/live/controller/*/*"
+"""The controllers of hosts of protocol 1.5, which publish no frames."""
+
 ANY_KEPT_ESTOP = f"{ROOT}/*/kept-estop/*"
 """What a router answers itself, so that a session sees whether its name counts there."""
 

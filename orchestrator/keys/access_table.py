@@ -7,7 +7,15 @@ needs a row that is as wide, and a row for `ctl/*/state` does not open `ctl/**`.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 
-from orchestrator.bus.keys import ANY_ESTOP, ANY_KEPT_ESTOP, ANY_STATE, ANY_TIME, FleetKeys
+from orchestrator.bus.keys import (
+    ANY_ESTOP,
+    ANY_HOST_STATES,
+    ANY_KEPT_ESTOP,
+    ANY_OLD_CONTROLLER,
+    ANY_STATE,
+    ANY_TIME,
+    FleetKeys,
+)
 from orchestrator.bus.service_verbs import VIEW_VERBS
 from orchestrator.keys.names import KeyName, Role
 
@@ -143,8 +151,12 @@ def _make_recorder(keys: FleetKeys, name: str, _: Mapping[str, Sequence[str]]) -
 
 
 def _make_button(keys: FleetKeys, name: str, _: Mapping[str, Sequence[str]]) -> Rights:
-    # It waits for the states that confirm the latch.
-    return Rights(puts=(keys.estop, ANY_ESTOP), subscribes=(keys.state(), ANY_STATE))
+    # It follows the hosts, and waits for the states that confirm the latch.
+    return Rights(
+        puts=(keys.estop, ANY_ESTOP),
+        subscribes=(keys.host_states(), ANY_HOST_STATES, keys.state(), ANY_STATE),
+        watches=(keys.live("controller"), ANY_OLD_CONTROLLER),
+    )
 
 
 def _make_router(keys: FleetKeys, name: str, _: Mapping[str, Sequence[str]]) -> Rights:

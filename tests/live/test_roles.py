@@ -88,7 +88,7 @@ every         delete  ctl/gantry/state             leader                     **
 reader        sub     ctl/gantry/state             leader                     **                    + + + -
 reader        watch   live/controller/gantry/1     live/host/right/1          live/*/*/*            + + + -
 estop-button  sub     ctl/gantry/state             leader                     **                    + - - -
-estop-button  watch   live/controller/gantry/1     live/host/right/1          live/*/*/*            - - - -
+estop-button  watch   live/controller/gantry/1     live/host/right/1          live/*/*/*            + - - -
 older         sub     ctl/gantry/state             leader                     **                    - - - -
 older         watch   live/controller/gantry/1     live/host/right/1          live/*/*/*            - - - -
 """

@@ -6,13 +6,15 @@ controller that was seen reports the latch; one that finds no connection is sent
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 
 from orchestrator.bus.base import Bus, BusSample
 from orchestrator.bus.estop import put_estop
-from orchestrator.bus.keys import ANY_STATE, FleetKeys
-from orchestrator.clock.owner import running
+from orchestrator.bus.keys import ANY_HOST_STATES, ANY_OLD_CONTROLLER, FleetKeys
+from orchestrator.bus.states.frame import BadFrame, decode_frame
+from orchestrator.clock.owner import TaskOwner, running
 
-SILENCE_S = 1.5  # adapters publish at least every 0.4 s
+SILENCE_S = 1.5  # hosts publish at least every 0.4 s
 POLL_S = 0.1
 REMIND_S = 5.0  # how often it is said that there is no connection
 CONFIRM_S = 10.0  # for the controllers to report the latch, before the e-stop counts as not confirmed
@@ -44,6 +46,8 @@ class EstopButton:
         self._report = report
         self._bus: Bus | None = None
         self._seen: dict[str, float] = {}
+        self._old = set[str]()
+        self._tasks = TaskOwner()
         self._connected: bool | None = None
         self._reminded_s = 0.0
         self._pending: tuple[str, str] | None = None
@@ -69,12 +73,31 @@ class EstopButton:
         """Keep the button connected until cancelled. connect: opens the bus, however long that takes."""
         async with running(self._watch_connection()):
             self._bus = await connect()
-            keys = ANY_STATE if self._fleet is None else FleetKeys(self._fleet).state()
-            await self._bus.subscribe(keys, self._receive_state)
+            keys = None if self._fleet is None else FleetKeys(self._fleet)
+            await self._bus.subscribe(ANY_HOST_STATES if keys is None else keys.host_states(), self._receive_frame)
+            await self._bus.watch(ANY_OLD_CONTROLLER if keys is None else keys.live("controller"), self._note_old)
             while True:
                 await self._pressed.wait()
                 self._pressed.clear()
                 await self._repeat_pending(self._bus)
+
+    def _receive_frame(self, sample: BusSample) -> None:
+        """Take note of the controllers of a host. Their own keys are not subscribed to: then every host would publish
+        each controller singly, for as long as the button is armed."""
+        with suppress(BadFrame):
+            fleet, now_s = sample.key.split("/")[2], asyncio.get_running_loop().time()
+            for controller in decode_frame(sample.payload).confirmations:
+                self._seen[f"{fleet}/{controller}"] = now_s
+
+    def _note_old(self, key: str, present: bool) -> None:  # noqa: FBT001 - a callback
+        """A controller of a host without frames."""
+        fleet, controller = key.split("/")[2], key.split("/")[5]
+        if present and self._bus is not None and (name := f"{fleet}/{controller}") not in self._old:
+            self._old.add(name)
+            self._tasks.spawn(self._follow_old(self._bus, FleetKeys(fleet).state(controller)))
+
+    async def _follow_old(self, bus: Bus, state_key: str) -> None:
+        await bus.subscribe(state_key, self._receive_state)
 
     def _receive_state(self, sample: BusSample) -> None:
         chunks = sample.key.split("/")

@@ -6,6 +6,7 @@ from itertools import count
 from cluster.worlds import run_fleet
 
 from orchestrator.bus.base import Bus
+from orchestrator.bus.memory.traffic import BusTraffic
 from orchestrator.cli.estop.button import CONFIRM_S, REMIND_S, EstopButton
 from orchestrator.cli.estop.triggers import LineSplitter
 from orchestrator.client.api import Tutti
@@ -61,6 +62,35 @@ def test_it_says_when_it_is_connected_and_a_press_latches_all() -> None:
         desk.button.press()
         await asyncio.sleep(2)
         assert desk.kinds[-1] == "latched"
+        desk.task.cancel()
+
+    run_fleet(main)
+
+
+def test_an_armed_button_lets_no_host_publish_controllers_singly() -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        desk = Desk(virtual)
+        desk.reachable.set()
+        await asyncio.sleep(3)
+        traffic = virtual.net.traffic = BusTraffic()
+        await asyncio.sleep(3)
+        assert desk.kinds[-1] == "armed"
+        assert {kind for name, kind in traffic.by_kind if name.startswith("host-")} == {"states"}
+        desk.task.cancel()
+
+    run_fleet(main)
+
+
+def test_it_sees_controllers_of_hosts_without_frames() -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        desk = Desk(virtual)
+        desk.reachable.set()
+        old = virtual.make_client("old").bus
+        await old.announce("tutti/v1/attic/live/controller/saw/1")
+        for _ in range(20):
+            old.put("tutti/v1/attic/ctl/saw/state", b"{}")
+            await asyncio.sleep(0.2)
+        assert desk.kinds[-1] == "armed" and "attic/saw, demo/gantry, demo/stage" in desk.said[-1][1]
         desk.task.cancel()
 
     run_fleet(main)
