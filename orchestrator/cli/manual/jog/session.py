@@ -2,12 +2,13 @@
 
 import asyncio
 import contextlib
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Mapping
 from typing import Any, Self
 
 from pydantic import ValidationError
 
 from orchestrator.bus.base import BusSample
+from orchestrator.bus.states.frame import Confirmation
 from orchestrator.cli.base.codes import INTERRUPTED
 from orchestrator.cli.manual.jog.keys import FocusChange, KeyEvent, TerminalEvent
 from orchestrator.cli.manual.jog.panel import (
@@ -101,20 +102,28 @@ class JogSession:
 
     async def _subscribe_states(self) -> None:
         keys = self._tutti.keys
-        async with self._tutti.subscribe_samples(keys.state(), keys.leases) as samples:
+        async with self._tutti.follow_all(keys.leases) as stream:
+            stream.on_confirmed = self._note_confirmed
             for state in (await self._tutti.status()).values():
                 self._panel.store_state(state, raw_ns())
             for payload in (await self._tutti.bus.request_all(keys.leases, b"", LEASES_TIMEOUT_S)).values():
                 self._receive_sample(BusSample(keys.leases, payload))
             while True:
-                self._receive_sample(await samples.get())
+                self._receive_sample(await stream.queue.get())
+
+    def _note_confirmed(self, confirmations: Mapping[str, Confirmation]) -> None:
+        """States that hold still do not arrive again."""
+        now_ns = raw_ns()
+        for controller, confirmation in confirmations.items():
+            if controller in self._panel.states:
+                self._panel.seen_ns[controller] = now_ns - confirmation.age_ns
 
     def _receive_sample(self, sample: BusSample) -> None:
         # A controller with another protocol version is not shown; its axes show no state.
         with contextlib.suppress(ValidationError):
             if sample.key.endswith("/state"):
                 self._panel.store_state(ControllerState.read_message(sample.payload), raw_ns())
-            else:
+            elif "/lease/" in sample.key:
                 self._panel.store_lease(LeaseState.read_message(sample.payload))
 
     # Output
