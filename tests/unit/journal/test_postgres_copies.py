@@ -2,7 +2,7 @@
 
 import signal
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -15,10 +15,11 @@ from unit.journal.servers import PostgresServer, find_programs
 from unit.journal.test_journal import JOB, end, utc
 
 from orchestrator.coordinator.journal.postgres.address import read_address
+from orchestrator.coordinator.journal.postgres.errors import ConnectionLost
 from orchestrator.coordinator.journal.postgres.journal import FleetDatabase, PostgresJournal
 from orchestrator.coordinator.journal.postgres.lease import LeaseRenewal
-from orchestrator.coordinator.journal.postgres.opening import open_journal
-from orchestrator.coordinator.journal.records import CopyMissing, JournalError, UnknownResult
+from orchestrator.coordinator.journal.postgres.opening import find_database, open_journal
+from orchestrator.coordinator.journal.records import CopyMissing, HistoryLost, JournalError, UnknownResult
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.model.report import JobTransition
 
@@ -179,6 +180,42 @@ def test_the_promoted_standby_has_what_was_accepted_and_names_what_it_waits_for(
         with closing(PostgresJournal(place._replace(copies=1))) as other:
             assert other.take_epoch(epoch) == epoch + 1
             assert other.accept_job("k", "k0", JOB, utc(1)) == ("j0", False)
+
+
+def test_of_two_primaries_no_coordinator_leads_on_the_older_line(number: int) -> None:
+    """The standby is promoted while the primary goes on: a split of the site's own making."""
+    with run_pair() as pair:
+        fleet = f"split{number}"
+        older_first = find_database(pair.address, fleet)
+        hosts = (f"127.0.0.1:{server.port}" for server in (pair.standby, pair.primary))
+        newer_first = find_database(f"postgresql://tutti@{','.join(hosts)}/journal", fleet)
+        with closing(PostgresJournal(older_first._replace(copies=2))) as journal:
+            epoch = journal.take_epoch(0)
+        pair.standby.promote()
+        pair.standby.execute("ALTER SYSTEM RESET synchronous_standby_names")
+        pair.standby.execute("SELECT pg_reload_conf()")
+        with closing(PostgresJournal(older_first)) as older, pytest.raises(HistoryLost) as refused:
+            older.take_epoch(epoch)
+        assert f"127.0.0.1:{pair.primary.port} is a primary of timeline 1" in str(refused.value)
+        assert "it is the older line" in str(refused.value) and "pg_rewind" in refused.value.remedy
+        with closing(PostgresJournal(newer_first)) as newer:
+            assert newer.take_epoch(epoch) == epoch + 1
+            newer.accept_job("j", "k", JOB, utc(1))
+            # Its server is gone for a moment: the other one, which takes writes as well, is not used.
+            pair.standby.stop()
+            with pytest.raises(HistoryLost):
+                for _ in range(2):  # the first call ends with the connection
+                    with suppress(ConnectionLost):
+                        newer.list_unfinished()
+            pair.standby.start()
+            assert [job.id for job in newer.list_unfinished()] == ["j"]
+
+
+def test_a_server_that_is_no_copy_is_refused(server: PostgresServer, pair: Pair, number: int) -> None:
+    hosts = (f"127.0.0.1:{port}" for port in (pair.primary.port, server.port))
+    place = find_database(f"postgresql://tutti@{','.join(hosts)}/journal", f"other{number}")
+    with closing(PostgresJournal(place)) as journal, pytest.raises(HistoryLost, match="another system"):
+        journal.take_epoch(0)
 
 
 def test_a_job_is_accepted_nearly_as_quickly_as_in_a_file(tmp_path: Path) -> None:

@@ -6,8 +6,10 @@ from orchestrator.coordinator.journal.facts import KeyedJob
 from orchestrator.coordinator.journal.postgres.address import JournalAddress
 from orchestrator.coordinator.journal.postgres.database import PostgresDatabase
 from orchestrator.coordinator.journal.postgres.health import JournalHealth
+from orchestrator.coordinator.journal.postgres.lines import SeenLine, split_hosts
 from orchestrator.coordinator.journal.postgres.names import (
     STANDBY,
+    TOOL,
     make_leader_pattern,
     name_schema,
     name_session,
@@ -21,6 +23,7 @@ from orchestrator.coordinator.journal.sql.journal import SqlJournal
 from orchestrator.model.messages import MAX_EPOCH_STEP
 
 MIGRATION_S = 60.0
+PROBE_S = 1.0  # for another host to say where it is in its history
 _END_LEADERS = (
     "SELECT pg_terminate_backend(pid) FROM pg_stat_activity"
     " WHERE datname = current_database() AND application_name ~ ? AND pid <> pg_backend_pid()"
@@ -29,13 +32,15 @@ _END_LEADERS = (
 
 class FleetDatabase(NamedTuple):
     """The journal of a fleet in a database. fleet: its name. copies: 1 or 2, the machines that a promise needs.
-    coordinator: what names this one in the database. deadline_s: of the statements that are sent together."""
+    coordinator: what names this one in the database. deadline_s: of the statements that are sent together. seen_line:
+    the newest line of history that its sessions have seen; None: each knows its own alone."""
 
     address: JournalAddress
     fleet: str
     copies: int = 1
     coordinator: str = ""
     deadline_s: float = DEADLINE_S
+    seen_line: SeenLine | None = None
 
 
 class PostgresJournal(SqlJournal):
@@ -65,6 +70,7 @@ class PostgresJournal(SqlJournal):
         db, session = self.database, self.database.session
         # Else the leader that goes on without its copy would end for one that cannot begin.
         db.require_copies()
+        require_newest_line(self._place, session)
         # A transaction of a leader that is suspended would hold the row.
         session.run_again([Statement(_END_LEADERS, (make_leader_pattern(self._place.fleet),))])
         with db.lock_leader():
@@ -113,7 +119,24 @@ def open_session(place: FleetDatabase, role: str) -> Session:
         f"SET search_path TO \"{name_schema(place.fleet)}\"; SET timezone TO 'UTC'; SET statement_timeout TO 0;"
         f" SET lock_timeout TO 0; SET synchronous_commit TO {'on' if place.copies > 1 else 'local'}"
     )
-    return Session(place.address, name_session(place.fleet, role), settings, place.deadline_s)
+    name = name_session(place.fleet, role)
+    return Session(place.address, name, settings, place.deadline_s, place.seen_line)
+
+
+def require_newest_line(place: FleetDatabase, session: Session) -> None:
+    """Raises `HistoryLost` if another host of the address is a primary of a newer line than that of the session. A host
+    that does not answer cannot be asked."""
+    own_line = session.line
+    for address in split_hosts(place.address) if own_line is not None else ():
+        other = open_session(place._replace(address=address, seen_line=None, deadline_s=PROBE_S), TOOL)
+        try:
+            other.run([Statement("SELECT 1")])
+        except JournalError:
+            continue
+        finally:
+            other.close()
+        if own_line is not None and other.line is not None and other.line.timeline:
+            own_line.require_not_older(other.line)
 
 
 def _make_schema(db: PostgresDatabase, fleet: str) -> None:

@@ -19,8 +19,9 @@ def find_database(address: str, fleet: str, copies: Literal[1, 2] = 1, coordinat
         raise JournalError(text, "install it: pip install 'tutti[postgres]'")
     from orchestrator.coordinator.journal.postgres.address import read_address
     from orchestrator.coordinator.journal.postgres.journal import FleetDatabase
+    from orchestrator.coordinator.journal.postgres.lines import SeenLine
 
-    return FleetDatabase(read_address(address), fleet, copies, coordinator)
+    return FleetDatabase(read_address(address), fleet, copies, coordinator, seen_line=SeenLine())
 
 
 def open_leader_journal(database: "FleetDatabase", *, is_new: bool) -> "PostgresJournal":

@@ -19,6 +19,7 @@ from orchestrator.coordinator.journal.postgres.errors import (
     make_lost_error,
     make_refused_error,
 )
+from orchestrator.coordinator.journal.postgres.lines import SeenLine, ServerLine
 from orchestrator.coordinator.journal.records import JournalError
 
 RV = TypeVar("RV")
@@ -59,7 +60,12 @@ class Session:
     session on the server; changed by what takes an epoch."""
 
     def __init__(
-        self, address: JournalAddress, application: str, settings: str, deadline_s: float = DEADLINE_S
+        self,
+        address: JournalAddress,
+        application: str,
+        settings: str,
+        deadline_s: float = DEADLINE_S,
+        seen_line: SeenLine | None = None,
     ) -> None:
         self.name = address.text
         self.application = application
@@ -69,6 +75,9 @@ class Session:
         self._connection: _Connection | None = None
         self._backend: tuple[int, str] | None = None
         """Process and begin of the session on the server, also of one whose connection was lost."""
+        self._seen_line = seen_line or SeenLine()
+        self.line: ServerLine | None = None
+        """Of the server that was connected to last."""
         self._is_closed = False
 
     @property
@@ -150,8 +159,11 @@ class Session:
         try:
             self._require_usable(connection)
             self._end_backend()
-            rows = self._run(connection, [Statement(_BACKEND)])[-1]
-            self._backend = (rows[0][0], rows[0][1])
+            ((pid, begun, system, timeline),) = self._run(connection, [Statement(_BACKEND)])[-1]
+            self._backend = (pid, begun)
+            line = ServerLine(f"{connection.info.host}:{connection.info.port}", system, int(timeline, 16))
+            self._seen_line.take_line(line)
+            self.line = line
         except JournalError:
             self._drop()
             raise
@@ -182,7 +194,11 @@ class Session:
             connection.close()
 
 
-_BACKEND = "SELECT pid, backend_start::text FROM pg_stat_activity WHERE pid = pg_backend_pid()"
+_BACKEND = (
+    "SELECT pid, backend_start::text, (SELECT system_identifier::text FROM pg_control_system()),"
+    " CASE WHEN pg_is_in_recovery() THEN '0' ELSE left(pg_walfile_name(pg_current_wal_lsn()), 8) END"
+    " FROM pg_stat_activity WHERE pid = pg_backend_pid()"
+)
 _END = (
     f"SELECT pg_terminate_backend(pid, {END_MS}) FROM pg_stat_activity"
     " WHERE pid = ? AND backend_start = CAST(? AS timestamptz)"
