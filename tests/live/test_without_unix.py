@@ -82,6 +82,7 @@ RUNS: list[tuple[str, int, str]] = [
     ("clock show gantry", 0, "starts by"),
     ("clock forget gantry", 0, "forgotten"),
     ("repair epoch", 0, "nothing was changed"),
+    ("coordinator hand-over", 1, "no standby waits"),
     ("raw gantry MG", 1, "--i-know"),
     ("trace gantry", 0, "data record"),
     ("status", 0, "gantry"),
@@ -166,6 +167,7 @@ UNIX = [
 LINUX = [
     "up {examples}/demo.fleet.yaml --sim",
     "host lab2 --fleet demo",
+    "coordinator run {examples}/demo.fleet.yaml --journal postgresql://t@a/t --connect tcp/127.0.0.1:1",
     "down",
     "service install {examples}/demo.fleet.yaml router",
     "service udev",
