@@ -1,8 +1,8 @@
 """Motor records of the axes of a fleet: their drivers by jobs and manual control, their readings by its states."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Awaitable, Coroutine
-from contextlib import asynccontextmanager
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
+from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 from datetime import datetime
 
@@ -60,11 +60,13 @@ class FleetAxis:
 
     def set_position(self, position: float) -> None:
         """As `AxisDriver.set_position`."""
-        self._begin(self._lane.run(self._info.name, SetPosition(axes={self._info.name: position})))
+        step, counts = SetPosition(axes={self._info.name: position}), abs(self._info.resolution)
+        self._begin(self._change(step, lambda reading: abs(reading.commanded - position) <= counts))
 
     def enable(self, *, on: bool) -> None:
         """As `AxisDriver.enable`."""
-        self._begin(self._lane.run(self._info.name, (Enable if on else Disable)(axes=[self._info.name])))
+        step = (Enable if on else Disable)(axes=[self._info.name])
+        self._begin(self._change(step, lambda reading: reading.enabled == on))
 
     def stop(self) -> None:
         """As `AxisDriver.stop`."""
@@ -83,6 +85,14 @@ class FleetAxis:
     def _begin(self, operation: Coroutine[None, None, str | None]) -> None:
         self._tasks.spawn(self._run(operation))
 
+    async def _change(self, step: SetPosition | Enable | Disable, shows: Callable[[AxisReading], bool]) -> str | None:
+        """Run a step that moves nothing; it has ended for the record once a reading shows what it has changed, since a
+        client that waits for the end reads the fields then."""
+        error = await self._lane.run(self._info.name, step)
+        if error is None:
+            await self._wait_for_reading(shows)
+        return error
+
     async def _move(self, ending: Awaitable[str | None], speed: float) -> str | None:
         error = await ending
         while error is None and self._further is not None:
@@ -99,15 +109,19 @@ class FleetAxis:
 
     async def _wait_for_rest(self) -> None:
         """Wait for a reading from now on at which the axis does not move; an axis that is offline has none."""
-        try:
+        self._read.clear()
+        with suppress(TimeoutError):
             async with asyncio.timeout(REST_S):
-                while True:
+                await self._read.wait()
+                await self._wait_for_reading(lambda reading: not reading.moving)
+
+    async def _wait_for_reading(self, shows: Callable[[AxisReading], bool]) -> None:
+        """Wait until the reading is such a one; not for ever, because an axis that is offline has none."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(REST_S):
+                while not shows(self.record.reading):
                     self._read.clear()
                     await self._read.wait()
-                    if not self.record.reading.moving:
-                        return
-        except TimeoutError:
-            pass
 
 
 @asynccontextmanager

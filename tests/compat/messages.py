@@ -110,8 +110,9 @@ class MessageLog:
         """The requests, or replies, of the controllers in one of a host."""
         field = "requests" if name.part == "request" else "replies"
         verb = name.key.rpartition(".")[2]
+        leaf = verb if verb == "info" else f"cmd/{verb}"  # a value, asked for of several
         for controller, text in json.loads(payload).get(field, {}).items():
-            self.add(f"tutti/v1/f/ctl/{controller}/cmd/{verb}", name.part, text.encode())
+            self.add(f"tutti/v1/f/ctl/{controller}/{leaf}", name.part, text.encode())
 
 
 class LoggedGroup:
