@@ -1,5 +1,5 @@
-"""A job's place in the queue: when it may begin, and its order; and what a fleet asks of the journal that keeps it. The job
-itself describes the motion."""
+"""A job's place in the queue: when it may begin, and its order; and what a fleet asks of the journal that keeps it. The
+job itself describes the motion."""
 
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Literal

@@ -8,6 +8,7 @@ stay locked; so the standby kills it first. A file beside the journal names the 
 import json
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -23,9 +24,12 @@ from orchestrator.model.messages import HEARTBEAT_NS, LeaderHeartbeat
 POLL_NS = HEARTBEAT_NS // 2
 
 
-async def wait_for_vacancy(bus: Bus, keys: FleetKeys, clock: Clock) -> None:
+async def wait_for_vacancy(
+    bus: Bus, keys: FleetKeys, clock: Clock, is_lease_over: Callable[[], bool] = lambda: True
+) -> None:
     """Wait until no heartbeat has arrived for the time within which a live leader is received, measured while this
-    process was awake: a process that slept, or was suspended, has received nothing."""
+    process was awake: a process that slept, or was suspended, has received nothing. is_lease_over: whether no leader
+    holds the lease either, at the same time."""
     heard_ns = clock.now_ns()
     leader: tuple[int, str] | None = None
     asking = TaskOwner()
@@ -50,7 +54,7 @@ async def wait_for_vacancy(bus: Bus, keys: FleetKeys, clock: Clock) -> None:
     subscription = await bus.subscribe(keys.leader, receive_heartbeat)
     try:
         now_ns = clock.now_ns()
-        while now_ns - heard_ns < LEADER_TIMEOUT_NS:
+        while now_ns - heard_ns < LEADER_TIMEOUT_NS or not is_lease_over():
             await sleep_ns(clock, POLL_NS)
             overslept_ns, now_ns = clock.now_ns() - now_ns - POLL_NS, clock.now_ns()
             if overslept_ns > POLL_NS:
