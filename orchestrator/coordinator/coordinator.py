@@ -198,6 +198,10 @@ class Coordinator:
         await self.leadership.close()
         self._owner.cancel_all()
 
+    def abandon(self) -> None:
+        """End all tasks of a coordinator that has lost the leadership: it may change nothing any more."""
+        self._owner.cancel_all()
+
     async def _take_adopted(self, controller: str) -> None:
         self.scheduler.register.wake_up()
         await self._enable_at_start(controller)

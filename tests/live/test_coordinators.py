@@ -1,7 +1,10 @@
 """Two coordinators on one journal in PostgreSQL, as on two computers: the leader is lost, hands over, or cannot reach its
 database."""
 
-from collections.abc import Iterator
+import json
+from collections.abc import Generator, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 
 import pytest
 from children import wait_until
@@ -9,42 +12,75 @@ from fleet import SLOW_AXES, Steps, margin_s
 from shared_fleet import NAMES, SharedFleet
 
 pytest.importorskip("psycopg")
-from unit.journal.conftest import server
-from unit.journal.servers import PostgresServer
+from unit.journal.conftest import require_server
+from unit.journal.servers import PostgresServer, find_programs
+from unit.journal.test_postgres_copies import run_pair
 
 from orchestrator.clock.live import raw_ns
 from orchestrator.model.queue import JournalPolicy
-
-__all__ = ["server"]
 
 pytestmark = [pytest.mark.live, pytest.mark.alone, pytest.mark.postgres]
 
 TAKE_OVER_S = 5.0
 LEASE_S = 3.0
-SUSPENDED_S = 12.0  # of the database
+SUSPENDED_S = 12.0  # of the database: several tries to connect end meanwhile
 BUSY_S = 4.0  # margin for a busy machine, including an interpreter's start
+TEN_SECONDS: Steps = [{"do": "move", "to": {"gantry.x": 101, "stage.u": 11}, "speed": 0.1}]
 BACK: Steps = [{"do": "move", "to": {"gantry.x": 5, "stage.u": 2}}]
 
 
-@pytest.fixture(scope="module")
-def running(server: PostgresServer, tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedFleet]:
-    fleet = SharedFleet(tmp_path_factory.mktemp("shared"), server.make_address("journal"), JournalPolicy())
+class Site(SharedFleet):
+    """The fleet with its servers. standby: of the database; none with one copy."""
+
+    def __init__(self, folder: Path, primary: PostgresServer, standby: PostgresServer | None) -> None:
+        servers = [primary] if standby is None else [primary, standby]
+        hosts = ",".join(f"127.0.0.1:{server.port}" for server in servers)
+        copies = 1 if standby is None else 2
+        super().__init__(folder, f"postgresql://tutti@{hosts}/journal", JournalPolicy(copies=copies))
+        self.primary = primary
+        self.standby = standby
+
+    @property
+    def mode(self) -> str:
+        """On how many machines the journal is, as the queue says."""
+        return self.ask(lambda tutti: tutti.list_jobs(limit=1)).journal or ""
+
+
+@contextmanager
+def run_primary() -> Generator[PostgresServer]:
+    require_server()
+    primary = PostgresServer(find_programs())
     try:
-        fleet.start()
-        yield fleet
+        primary.create()
+        primary.execute("CREATE DATABASE journal")
+        yield primary
     finally:
-        fleet.close()
+        primary.remove()
+
+
+@pytest.fixture(scope="module", params=["one copy", "two copies"])
+def running(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    folder = tmp_path_factory.mktemp("shared")
+    with ExitStack() as stack:
+        if request.param == "one copy":
+            site = Site(folder, stack.enter_context(run_primary()), None)
+        else:
+            pair = stack.enter_context(run_pair())
+            site = Site(folder, pair.primary, pair.standby)
+        stack.callback(site.close)
+        site.start()
+        yield site
 
 
 @pytest.fixture
-def fleet(running: SharedFleet) -> SharedFleet:
+def fleet(running: Site) -> Site:
     """The fleet of all tests here, at rest, with its queue started and a standby."""
     running.bring_back()
     wait_until(running.has_standby, "a coordinator stands by")
     return running
 
 
-def lose_leader(fleet: SharedFleet) -> None:
+def lose_leader(fleet: Site) -> None:
     """Kill the leader's processes; the other coordinator leads in time."""
     first, epoch = fleet.find_leader(), fleet.epoch()
     lost_ns = raw_ns()
@@ -55,12 +91,12 @@ def lose_leader(fleet: SharedFleet) -> None:
     fleet.start_coordinator(first)
 
 
-def is_referenced(fleet: SharedFleet) -> bool:
+def is_referenced(fleet: Site) -> bool:
     states = fleet.status()
     return states["gantry"].axes["x"].referenced and states["stage"].axes["u"].referenced
 
 
-def test_a_motion_is_interrupted_when_its_leader_dies(fleet: SharedFleet) -> None:
+def test_a_motion_is_interrupted_when_its_leader_dies(fleet: Site) -> None:
     running = fleet.slow_move()
     queued = fleet.submit(BACK)
     lose_leader(fleet)
@@ -72,14 +108,14 @@ def test_a_motion_is_interrupted_when_its_leader_dies(fleet: SharedFleet) -> Non
     assert is_referenced(fleet)
 
 
-def test_at_rest_the_queue_goes_on(fleet: SharedFleet) -> None:
+def test_at_rest_the_queue_goes_on(fleet: Site) -> None:
     lose_leader(fleet)
     shown = fleet.tutti("queue", "status").stdout
-    assert "the queue is running" in shown and "one copy" in shown
+    assert "the queue is running" in shown and f"journal: {fleet.mode}" in fleet.tutti("status").stdout
     assert fleet.run(BACK).state == "done"
 
 
-def test_a_leader_hands_over_at_rest_and_stands_by(fleet: SharedFleet) -> None:
+def test_a_leader_hands_over_at_rest_and_stands_by(fleet: Site) -> None:
     first, epoch = fleet.find_leader(), fleet.epoch()
     shown = fleet.tutti("coordinator", "hand-over")
     assert shown.returncode == 0 and "handed over" in shown.stdout, shown.stderr
@@ -91,11 +127,11 @@ def test_a_leader_hands_over_at_rest_and_stands_by(fleet: SharedFleet) -> None:
     assert fleet.parts[first].process.poll() is None
 
 
-def test_a_leader_without_its_database_ends_itself_once(fleet: SharedFleet, server: PostgresServer) -> None:
+def test_a_leader_without_its_database_ends_itself_once(fleet: Site) -> None:
     epoch, before = fleet.epoch(), len(fleet.log("coordinator"))
     running = fleet.slow_move()
     queued = fleet.submit(BACK)
-    server.suspend()
+    fleet.primary.suspend()
     lost_ns = raw_ns()
     try:
         wait_until(lambda: count_endings(fleet, before) > 0, "the leader ends")
@@ -104,7 +140,7 @@ def test_a_leader_without_its_database_ends_itself_once(fleet: SharedFleet, serv
             assert margin_s(lost_ns, fleet.rest_ns(name)) < LEASE_S + BUSY_S
         wait_until(lambda: margin_s(lost_ns, raw_ns()) > SUSPENDED_S, "both have tried the database")
     finally:
-        server.resume()
+        fleet.primary.resume()
     starts = [fleet.starts(name) for name in SLOW_AXES]
     wait_until(lambda: fleet.epoch() > epoch, "one of them leads")
     assert fleet.wait(running).state == "interrupted"
@@ -115,8 +151,31 @@ def test_a_leader_without_its_database_ends_itself_once(fleet: SharedFleet, serv
     assert all(fleet.parts[name].process.poll() is None for name in NAMES)
 
 
-def count_endings(fleet: SharedFleet, before: int) -> int:
+def count_endings(fleet: Site, before: int) -> int:
     """How often a leader has ended since, for its lease."""
     return sum(
         "the lease of the leader could not be renewed" in entry["text"] for entry in fleet.log("coordinator")[before:]
     )
+
+
+def test_without_its_copy_the_journal_takes_no_job_and_the_one_that_runs_ends(fleet: Site) -> None:
+    if fleet.standby is None:
+        assert fleet.mode == "one copy"
+        return
+    assert fleet.mode == "two copies"
+    epoch = fleet.epoch()
+    running = fleet.slow_move(TEN_SECONDS)
+    fleet.standby.kill()
+    wait_until(lambda: fleet.mode == "waits for a copy", "the coordinator misses it")
+    assert fleet.epoch() == epoch
+    for command in (("queue", "status"), ("status",)):
+        assert "waits for a copy" in fleet.tutti(*command).stdout
+    refused = fleet.tutti("submit", str(fleet.file(BACK)), "--json")
+    shown = json.loads(refused.stdout)
+    assert (refused.returncode, shown["code"]) == (1, "journal"), refused
+    assert "the copy of the journal on a second machine is missing; no job is accepted" in shown["text"]
+    assert "look at the standby server" in shown["remedy"]
+    assert fleet.wait(running).state == "done"
+    fleet.standby.start()
+    wait_until(lambda: fleet.mode == "two copies", "the coordinator sees it")
+    assert fleet.run(BACK).state == "done"
