@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from children import wait_until
-from fleet import SLOW_AXES, Steps, margin_s
+from fleet import SLOW_AXES, Steps, margin_s, run_tutti
 from shared_fleet import NAMES, SharedFleet
 
 pytest.importorskip("psycopg")
@@ -179,3 +179,23 @@ def test_without_its_copy_the_journal_takes_no_job_and_the_one_that_runs_ends(fl
     fleet.standby.start()
     wait_until(lambda: fleet.mode == "two copies", "the coordinator sees it")
     assert fleet.run(BACK).state == "done"
+
+
+def test_a_coordinator_that_cannot_begin_says_why_in_a_line(running: Site, tmp_path: Path) -> None:
+    primary = running.primary
+    primary.execute("CREATE ROLE locked LOGIN PASSWORD 'right'; GRANT CREATE ON DATABASE journal TO locked")
+    primary.execute("CREATE DATABASE latin ENCODING 'LATIN1' LC_COLLATE 'C' LC_CTYPE 'C' TEMPLATE template0")
+    host = f"127.0.0.1:{primary.port}"
+    cases = (
+        (f"postgresql://locked:wrong@{host}/journal", running.endpoint, 1, "the password is wrong or missing"),
+        (f"postgresql://tutti@{host}/latin", running.endpoint, 1, "its encoding is LATIN1"),
+        ("postgresql://tutti@127.0.0.1:1/journal", running.endpoint, 1, "the database cannot be reached"),
+        (f"postgresql://tutti@{host}/journal", "tcp/127.0.0.1:1", 3, "no router answered"),
+    )
+    file = str(running.folder / "demo.fleet.json")
+    for journal, connect, code, problem in cases:
+        place = ("--connect", connect, "--state", str(tmp_path / "state"))
+        ended = run_tutti("coordinator", file, "--journal", journal, *place)
+        assert (ended.returncode, ended.stdout) == (code, ""), ended
+        (line,) = ended.stderr.splitlines()
+        assert problem in line and "wrong@" not in line, line
