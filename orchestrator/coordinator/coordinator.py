@@ -159,8 +159,9 @@ class Coordinator:
         self.leadership.on_contradicted = self._report_contradiction
         self._environment.bus.report_double_answers(self._report_double_answer)
         await self._latch_keeper.start(self.leadership.coordinator)
-        await self.leadership.acquire(take_over=take_over, vacant=vacant)
+        # Two that begin at once take an epoch each, and the first one may lose its own before it has begun.
         self.leadership.on_lost = self._lose_leadership
+        await self.leadership.acquire(take_over=take_over, vacant=vacant)
         self._view.add_arrival_listener(self._adoption.take_arrivals)
         self._virtual.start()
         await self._view.start()
@@ -196,6 +197,10 @@ class Coordinator:
         await self._latch_keeper.close()
         await self._journal_calls.flush()
         await self.leadership.close()
+        self._owner.cancel_all()
+
+    def abandon(self) -> None:
+        """End all tasks of a coordinator that has lost the leadership: it may change nothing any more."""
         self._owner.cancel_all()
 
     async def _take_adopted(self, controller: str) -> None:

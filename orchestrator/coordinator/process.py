@@ -8,11 +8,12 @@ bus cannot be reached, 4 another coordinator leads, 5 the journal cannot be used
 
 import argparse
 import asyncio
-import contextlib
 import shutil
 import sys
 import uuid
-from functools import partial
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from orchestrator.bus.base import Bus
@@ -38,7 +39,7 @@ from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.journal.records import HistoryLost, JournalError
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import AnotherLeader
-from orchestrator.coordinator.leadership.lease import wait_for_lease_end
+from orchestrator.coordinator.leadership.lease import LeaseWatch
 from orchestrator.coordinator.leadership.standby import LeaderFile, stand_by
 from orchestrator.coordinator.opening import JournalWish, is_address, open_journal_of, open_lease_of
 from orchestrator.model.files.private_files import replace_private_file
@@ -46,8 +47,27 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import FileError, load_fleet
 
 ANOTHER, BAD_JOURNAL, LEADERSHIP_LOST, BROKEN, HANDED_OVER = 4, 5, 6, 7, 8
-CLOSE_S = 2.0  # after a defect
+CLOSE_S = 2.0  # of what may not work any more
 RETRY_NS = NS_PER_S  # between two tries to open the journal
+
+
+@dataclass(slots=True)
+class ProcessLife:
+    """What this process has from its begin to its end. end: set when it is to end. urgent: it has real-time
+    priority."""
+
+    bus: Bus
+    log: ProcessLog
+    end: asyncio.Event
+    urgent: bool
+    is_ready: bool = False
+
+    def report_ready(self) -> None:
+        """Print, once, that it works."""
+        if not self.is_ready:
+            self.is_ready = True
+            sys.stdout.write("ready\n")
+            sys.stdout.flush()
 
 
 async def run_coordinator(options: argparse.Namespace, *, urgent: bool) -> int:
@@ -57,56 +77,76 @@ async def run_coordinator(options: argparse.Namespace, *, urgent: bool) -> int:
     end = asyncio.Event()
     call_at_signals(end.set)
     log = ProcessLog("coordinator", "standby", LiveClock(), make_file_sink(options.log), (bus, FleetKeys(fleet.fleet)))
+    life = ProcessLife(bus, log, end, urgent)
+    if options.standby and options.existing_journal:
+        life.report_ready()  # it has stood by before; its journal may be away at present
+    obstacle = ""
     try:
-        if options.standby:
-            _print_ready()
         while True:
-            if options.standby and not await _stand_by(options, fleet, bus, log, end):
-                return 0
-            # The fleet may have been reloaded meanwhile.
-            fleet = load_fleet(options.fleet)
             try:
-                return await _lead(options, fleet, bus, end, urgent=urgent)
+                if options.standby and not await _stand_by(options, fleet, life):
+                    return 0
+                # The fleet may have been reloaded meanwhile.
+                fleet = load_fleet(options.fleet)
+                return await _lead(options, fleet, life)
             except JournalError as error:
-                # While a database fails over, it does not answer; a standby tries again.
-                if isinstance(error, HistoryLost) or not (options.standby and is_address(options.journal)):
+                # While a database fails over, it does not answer. One that never did may have a wrong address.
+                is_tried_again = options.standby and is_address(options.journal) and life.is_ready
+                if isinstance(error, HistoryLost) or not is_tried_again:
                     raise
-                log.warning(f"cannot lead: {error}")
+                if str(error) != obstacle:
+                    obstacle = str(error)
+                    log.warning(f"cannot lead, and tries again: {obstacle}")
                 await wait_for_first(sleep_ns(LiveClock(), RETRY_NS), end.wait())
     finally:
         await bus.close()
 
 
-async def _stand_by(options: argparse.Namespace, fleet: Fleet, bus: Bus, log: ProcessLog, end: asyncio.Event) -> bool:
+async def _stand_by(options: argparse.Namespace, fleet: Fleet, life: ProcessLife) -> bool:
     """Wait until there is no leader, and make sure that the last one is gone; False when this process is to end. Raises
     `JournalError` if the journal cannot be used from the first."""
-    keys, clock, name, run = FleetKeys(fleet.fleet), LiveClock(), uuid.uuid4().hex, ThreadExecutor("standby")
+    bus, end = life.bus, life.end
+    keys, clock, name = FleetKeys(fleet.fleet), LiveClock(), uuid.uuid4().hex
     # Kept meanwhile: the leader may be away when an e-stop comes.
     keeper = LatchKeeper(bus, keys, clock.utc, _latch_store(options))
     await keeper.start(f"standby-{name}")
-    standby_lease = await run(open_lease_of, _make_wish(options, fleet, name), run)
-    if standby_lease is None:
-        await wait_for_first(stand_by(bus, keys, clock, name[:8]), end.wait())
-    else:
-        terms, close = standby_lease
-        patience_ns = terms.duration_ns if options.patient else 0
-        wait_for_lease = partial(wait_for_lease_end, terms, clock, patience_ns)
-        await wait_for_first(stand_by(bus, keys, clock, name[:8], wait_for_lease), end.wait())
-        await run(close)
-    await keeper.close()
+    try:
+        async with _watch_lease(options, fleet, name) as is_lease_over:
+            life.report_ready()
+            await wait_for_first(stand_by(bus, keys, clock, name[:8], is_lease_over), end.wait())
+    finally:
+        await keeper.close()
     if end.is_set():
         return False
     killed_process = 0 if is_address(options.journal) else LeaderFile(Path(options.journal)).kill_other_process()
     if killed_process:
-        log.warning(f"the coordinator in process {killed_process} was silent and has been killed; taking over")
+        life.log.warning(f"the coordinator in process {killed_process} was silent and has been killed; taking over")
     return True
+
+
+@asynccontextmanager
+async def _watch_lease(options: argparse.Namespace, fleet: Fleet, name: str) -> AsyncGenerator[Callable[[], bool]]:
+    """Says whether no leader holds the lease; a journal in a file has none. Raises `JournalError`."""
+    run = ThreadExecutor("standby")
+    opened_lease = await run(open_lease_of, _make_wish(options, fleet, name), run)
+    if opened_lease is None:
+        yield lambda: True
+        return
+    terms, close = opened_lease
+    watch = LeaseWatch(terms, LiveClock(), terms.duration_ns if options.patient else 0)
+    try:
+        async with running(watch.keep_looking()):
+            yield lambda: watch.is_over
+    finally:
+        await run(close)
 
 
 def _make_wish(options: argparse.Namespace, fleet: Fleet, name: str) -> JournalWish:
     return JournalWish(options.journal, fleet.fleet, fleet.journal, options.existing_journal, name)
 
 
-async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event, *, urgent: bool) -> int:
+async def _lead(options: argparse.Namespace, fleet: Fleet, life: ProcessLife) -> int:
+    bus = life.bus
     latches, folder = _latch_store(options), _find_state(options)
     runs, decode = ThreadExecutor("journal"), ProcessExecutor()
     opened_journal = await runs(open_journal_of, _make_wish(options, fleet, uuid.uuid4().hex))
@@ -132,28 +172,29 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
     )
     coordinator = Coordinator(fleet, court)
     try:
-        if urgent:
+        try:
+            await coordinator.start(take_over=options.take_over, vacant=options.standby)
+        except JournalError:
+            await _leave(coordinator, "it cannot lead")
+            raise
+        if life.urgent:
             # The adapters stop without the leader: the ends of its jobs must not delay that.
             await bus.subscribe(court.keys.estop, lambda _: yield_priority(RealtimePriority.SERVICE))
-        await coordinator.start(take_over=options.take_over, vacant=options.standby)
         if not is_address(options.journal):
             LeaderFile(Path(options.journal)).write_own_process()
         prepare_live_process()
-        if not options.standby:
-            _print_ready()
-        events = (end, coordinator.leadership_lost, coordinator.broken, coordinator.handed_over)
+        life.report_ready()
+        events = (life.end, coordinator.leadership_lost, coordinator.broken, coordinator.handed_over)
         async with (
             running(_feed_watchdog(options, coordinator)),
             report_own_alarms(bus, court.keys, ("coordinator", "own"), options.connect),
         ):
             await wait_for_first(*(event.wait() for event in events))
         if coordinator.leadership_lost.is_set():
+            coordinator.abandon()
             return LEADERSHIP_LOST
         if coordinator.broken.is_set():
-            # Whatever does not work any more may not keep it from being restarted.
-            with contextlib.suppress(Exception):
-                async with asyncio.timeout(CLOSE_S):
-                    await coordinator.close("a defect of the coordinator, which is restarted")
+            await _leave(coordinator, "a defect of the coordinator, which is restarted")
             return BROKEN
         await coordinator.close()
         return HANDED_OVER if coordinator.handed_over.is_set() else 0
@@ -162,6 +203,13 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
             executor.close()
         # In the journal's own thread, after its pending writes: SQLite crashes the process if closed during a call.
         await runs(opened_journal.close)
+
+
+async def _leave(coordinator: Coordinator, reason: str) -> None:
+    """Close what works: the rest may not keep it from being started again."""
+    with suppress(Exception):
+        async with asyncio.timeout(CLOSE_S):
+            await coordinator.close(reason)
 
 
 async def _feed_watchdog(options: argparse.Namespace, coordinator: Coordinator) -> None:
@@ -186,11 +234,6 @@ def _find_state(options: argparse.Namespace) -> Path:
 def _latch_store(options: argparse.Namespace) -> FileLatchStore:
     """The e-stop latch of this computer."""
     return FileLatchStore(_find_state(options) / "estop.json")
-
-
-def _print_ready() -> None:
-    sys.stdout.write("ready\n")
-    sys.stdout.flush()
 
 
 def save_fleet(path: Path, fleet: Fleet) -> None:

@@ -456,8 +456,7 @@ def test_a_far_epoch_is_repaired_by_the_command_that_the_fleet_names(damaged: st
             store.save(store.load().model_copy(update={"epoch": 2**40, "coordinator": "none"}))
         else:
             fleet.journal.take_epoch(0)
-            with fleet.journal._transaction():
-                fleet.journal._values.write("epoch", str(2**40))
+            fleet.journal.set_epoch(2**40)
         fleet.start_coordinator("second")
         await asyncio.sleep(3.0)
         await client.start_queue()

@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -44,42 +44,14 @@ def free_port() -> int:
         return free.getsockname()[1]
 
 
-class RunningFleet:
-    """The demo fleet, or one of that name, under `tutti up --sim`, with everything it writes in `folder`. recorded, web:
-    with a recorder, a gateway, which take a process more each."""
+class ReachedFleet:
+    """The demo fleet, or one of that name, at the router `endpoint`. folder: of what is written for it; state: of the
+    truth of its simulators, and of logs."""
 
-    def __init__(
-        self,
-        folder: Path,
-        fleet: Path = EXAMPLES / "demo.fleet.yaml",
-        *options: str,
-        recorded: bool = False,
-        web: bool = False,
-    ) -> None:
+    def __init__(self, folder: Path, endpoint: str, state: Path) -> None:
         self.folder = folder
-        self.state = folder / "state"
-        self.port = free_port()
-        self.endpoint = f"tcp/127.0.0.1:{self.port}"
-        self.said = folder / "up.out"
-        command = [*COMMAND, "up", str(fleet), "--sim", "--truth"]
-        command += ["--state", str(self.state), "--port", str(self.port), *options]
-        command += [] if recorded else ["--no-record"]
-        command += [] if web else ["--no-web"]
-        with self.said.open("w") as out:
-            self.up = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
-        self._known: set[int] = set()
-
-    # Life
-
-    def started(self) -> "RunningFleet":
-        """Wait until it is up and every controller is adopted."""
-        wait_until(lambda: "is up" in self.output() or self.up.poll() is not None, "the fleet is up")
-        assert self.up.poll() is None, self.output()
-        self.works()
-        return self
-
-    def output(self) -> str:
-        return self.said.read_text()
+        self.endpoint = endpoint
+        self.state = state
 
     def works(self) -> None:
         """Wait until there is a leader that every adapter has adopted."""
@@ -105,53 +77,6 @@ class RunningFleet:
         path = self.state / "log" / f"{name}.jsonl"
         whole = path.read_text().rpartition("\n")[0] if path.exists() else ""
         return [json.loads(line) for line in whole.splitlines()]
-
-    def family(self) -> dict[int, str]:
-        """Command lines of all living descendants of `tutti up`, and of those that were seen before."""
-        living = _processes()
-        grown = {self.up.pid} | {pid for pid in self._known if pid in living}
-        while more := {pid for pid, (parent, _) in living.items() if parent in grown} - grown:
-            grown |= more
-        self._known |= grown - {self.up.pid}
-        return {pid: living[pid][1] for pid in self._known if pid in living}
-
-    def pid(self, words: str) -> int:
-        """The process id of the descendant whose command line contains `words`."""
-        found = [pid for pid, command in self.family().items() if words in command]
-        assert len(found) == 1, f"{words}: {found}"
-        return found[0]
-
-    def kill(self, words: str) -> int:
-        """`kill -9`; the host time of it, and it is dead."""
-        pid = self.pid(words)
-        at_ns = raw_ns()
-        os.kill(pid, signal.SIGKILL)
-        wait_until(lambda: pid not in _processes(), f"{words} is dead")
-        return at_ns
-
-    def end(self, number: signal.Signals = signal.SIGINT) -> int:
-        """End `tutti up` by a signal: its exit code. Nothing of it lives on."""
-        self.family()
-        self.up.send_signal(number)
-        code = self.up.wait(LIMIT_S)
-        wait_until(lambda: not self.family(), f"orphans end: {self.family()}")
-        return code
-
-    def close(self) -> None:
-        """Clean up after a test."""
-        self.family()
-        if self.up.poll() is None:
-            self.up.terminate()
-            try:
-                self.up.wait(LIMIT_S)
-            except subprocess.TimeoutExpired:
-                self.up.kill()
-                self.up.wait()
-        for pid in self.family():
-            os.kill(pid, signal.SIGKILL)
-        # Shown with a failed test only.
-        for said in (self.said, *sorted((self.state / "log").glob("*.err"))):
-            sys.stdout.write(f"--- {said.name}\n{said.read_text()[-4000:]}\n")
 
     # What users do
 
@@ -246,6 +171,87 @@ class RunningFleet:
         return last()["end_ns"]
 
 
+class RunningFleet(ReachedFleet):
+    """The demo fleet, or one of that name, under `tutti up --sim`, with everything it writes in `folder`. recorded, web:
+    with a recorder, a gateway, which take a process more each."""
+
+    def __init__(
+        self,
+        folder: Path,
+        fleet: Path = EXAMPLES / "demo.fleet.yaml",
+        *options: str,
+        recorded: bool = False,
+        web: bool = False,
+    ) -> None:
+        self.port = free_port()
+        super().__init__(folder, f"tcp/127.0.0.1:{self.port}", folder / "state")
+        self.said = folder / "up.out"
+        command = [*COMMAND, "up", str(fleet), "--sim", "--truth"]
+        command += ["--state", str(self.state), "--port", str(self.port), *options]
+        command += [] if recorded else ["--no-record"]
+        command += [] if web else ["--no-web"]
+        with self.said.open("w") as out:
+            self.up = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
+        self._known: set[int] = set()
+
+    # Life
+
+    def started(self) -> "RunningFleet":
+        """Wait until it is up and every controller is adopted."""
+        wait_until(lambda: "is up" in self.output() or self.up.poll() is not None, "the fleet is up")
+        assert self.up.poll() is None, self.output()
+        self.works()
+        return self
+
+    def output(self) -> str:
+        return self.said.read_text()
+
+    def family(self) -> dict[int, str]:
+        """Command lines of all living descendants of `tutti up`, and of those that were seen before."""
+        living = list_processes()
+        grown = find_descendants({self.up.pid, *(self._known & living.keys())}, living)
+        self._known |= grown - {self.up.pid}
+        return {pid: living[pid][1] for pid in self._known if pid in living}
+
+    def pid(self, words: str) -> int:
+        """The process id of the descendant whose command line contains `words`."""
+        found = [pid for pid, command in self.family().items() if words in command]
+        assert len(found) == 1, f"{words}: {found}"
+        return found[0]
+
+    def kill(self, words: str) -> int:
+        """`kill -9`; the host time of it, and it is dead."""
+        pid = self.pid(words)
+        at_ns = raw_ns()
+        os.kill(pid, signal.SIGKILL)
+        wait_until(lambda: pid not in list_processes(), f"{words} is dead")
+        return at_ns
+
+    def end(self, number: signal.Signals = signal.SIGINT) -> int:
+        """End `tutti up` by a signal: its exit code. Nothing of it lives on."""
+        self.family()
+        self.up.send_signal(number)
+        code = self.up.wait(LIMIT_S)
+        wait_until(lambda: not self.family(), f"orphans end: {self.family()}")
+        return code
+
+    def close(self) -> None:
+        """Clean up after a test."""
+        self.family()
+        if self.up.poll() is None:
+            self.up.terminate()
+            try:
+                self.up.wait(LIMIT_S)
+            except subprocess.TimeoutExpired:
+                self.up.kill()
+                self.up.wait()
+        for pid in self.family():
+            os.kill(pid, signal.SIGKILL)
+        # Shown with a failed test only.
+        for said in (self.said, *sorted((self.state / "log").glob("*.err"))):
+            sys.stdout.write(f"--- {said.name}\n{said.read_text()[-4000:]}\n")
+
+
 def run_tutti(*arguments: str, **variables: str) -> "subprocess.CompletedProcess[str]":
     """The `tutti` command to its end, with additional variables of the environment."""
     environment = {**os.environ, "COLUMNS": "200", **variables}
@@ -257,7 +263,7 @@ def run_example(name: str, *arguments: str) -> "subprocess.CompletedProcess[str]
     return run_forked([str(EXAMPLES / name), *arguments], os.environ, LIMIT_S)
 
 
-def _processes() -> dict[int, tuple[int, str]]:
+def list_processes() -> dict[int, tuple[int, str]]:
     """Parent and command line of every process that has not ended."""
     found: dict[int, tuple[int, str]] = {}
     for path in Path("/proc").iterdir():
@@ -270,6 +276,14 @@ def _processes() -> dict[int, tuple[int, str]]:
         except (OSError, ValueError):
             continue
     return found
+
+
+def find_descendants(processes: set[int], living: Mapping[int, tuple[int, str]]) -> set[int]:
+    """These processes with all their descendants. living: as of `list_processes`."""
+    grown = set(processes)
+    while more := {pid for pid, (parent, _) in living.items() if parent in grown} - grown:
+        grown |= more
+    return grown
 
 
 def margin_s(at_ns: int, rest_ns: int) -> float:

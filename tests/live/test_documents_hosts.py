@@ -16,7 +16,8 @@ import pytest
 from children import LIMIT_S
 from fleet import EXAMPLES
 from pages import read_blocks
-from test_namespaces import FIRST, SECOND, Part, computers, pytestmark
+from parts import Part
+from test_namespaces import FIRST, SECOND, computers, pytestmark
 
 from orchestrator.model.jobs.files import load_fleet
 

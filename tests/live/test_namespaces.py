@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +11,7 @@ from pathlib import Path
 import pytest
 from children import LIMIT_S, wait_until
 from fleet import COMMAND, READY, Steps
+from parts import Part
 from test_hosts import write_fleet
 
 pytestmark = [
@@ -48,48 +48,6 @@ def computers() -> Iterator[tuple[str, str]]:
     finally:
         for name in made:
             run("ip", "netns", "delete", name)
-
-
-class Part:
-    """A process in a namespace, with what it says in a file."""
-
-    def __init__(self, folder: Path, computer: str, identity: Path | None, *command: str) -> None:
-        self.said = folder / f"{computer}-{len(list(folder.iterdir()))}.out"
-        environment = dict(os.environ)
-        if identity is not None:
-            environment["TUTTI_IDENTITY"] = str(identity)
-        with self.said.open("w") as out:
-            self.process = subprocess.Popen(
-                ["ip", "netns", "exec", computer, *command],
-                stdin=subprocess.PIPE,
-                stdout=out,
-                stderr=subprocess.STDOUT,
-                text=True,
-                env=environment,
-            )
-
-    def wait_for(self, words: str) -> None:
-        wait_until(lambda: words in self.said.read_text() or self.process.poll() is not None, words)
-        assert words in self.said.read_text(), self.said.read_text()
-
-    def order(self, word: str) -> None:
-        assert self.process.stdin is not None
-        before = self.said.read_text().count(word)
-        self.process.stdin.write(f"{word}\n")
-        self.process.stdin.flush()
-        wait_until(lambda: self.said.read_text().count(word) > before, word)
-
-    def end(self) -> None:
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
-            try:
-                self.process.wait(LIMIT_S)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.wait()
-        if self.process.stdin is not None:
-            self.process.stdin.close()
-        sys.stdout.write(f"--- {self.said.name}\n{self.said.read_text()[-3000:]}\n")
 
 
 def make_keys(folder: Path) -> Path:

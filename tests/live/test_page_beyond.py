@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 from children import LIMIT_S
 from fleet import COMMAND, EXAMPLES
-from test_namespaces import Part, run
+from parts import Part
+from test_namespaces import run
 
 from orchestrator.gateway.access.users import UserFile
 from orchestrator.keys.folder import KeyFolder

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from children import wait_until
-from fleet import EXAMPLES, _processes
+from fleet import EXAMPLES, list_processes
 
 from orchestrator.model.base import UnknownName
 from tutti import Job, JobFailed, Move, Tutti
@@ -74,4 +74,4 @@ def test_it_ends_when_the_test_fails() -> None:
 
 def ended(processes: list[int], state: Path) -> None:
     assert processes and not state.exists()
-    wait_until(lambda: not set(processes) & set(_processes()), "all processes have ended")
+    wait_until(lambda: not set(processes) & set(list_processes()), "all processes have ended")

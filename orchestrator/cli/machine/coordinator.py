@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orchestrator.cli.base.codes import FAILED
+from orchestrator.cli.base.codes import FAILED, UNREACHABLE
 from orchestrator.cli.base.common import (
     check_endpoint_option,
     console,
@@ -17,10 +17,10 @@ from orchestrator.cli.base.common import (
     with_fleet,
 )
 from orchestrator.cli.base.default_group import DefaultGroup
-from orchestrator.cli.base.errors import errors, run_main
-from orchestrator.cli.base.extras import require_extra
+from orchestrator.cli.base.errors import errors, exit_with_error, run_main
 from orchestrator.cli.base.systems import require_linux
 from orchestrator.cli.machine.following import follow_file
+from orchestrator.cli.machine.journal_places import read_database_address
 from orchestrator.clock.owner import running
 from orchestrator.clock.signals import call_at_signals
 
@@ -78,7 +78,6 @@ def run(
     what moves stops meanwhile, and the job that ran is interrupted.
     """
     require_linux("a coordinator")
-    require_extra("postgres", "psycopg")
     from orchestrator.coordinator.opening import is_address
     from orchestrator.runtime.checked import load_checked_fleet
     from orchestrator.runtime.live.fleet import LiveFleet
@@ -89,6 +88,7 @@ def run(
         raise click.UsageError(
             f"--journal {journal}: write postgresql://USER@HOST,HOST/DATABASE; a file is for `tutti up`"
         )
+    read_database_address(journal)
 
     def print_line(line: str) -> None:
         (errors if as_json else console).print(line, highlight=False, markup=False, soft_wrap=True)
@@ -104,9 +104,18 @@ def run(
 
 async def _run_until_ended(live: "LiveFleet", *, as_json: bool) -> None:
     """Run the coordinator until it is to end, or has ended for good."""
+    from orchestrator.runtime.state.folder import UpFailed
+
     end = asyncio.Event()
     call_at_signals(end.set)
-    await live.start_coordinator()
+    try:
+        await live.start_coordinator()
+    except UpFailed as error:
+        child = live.children.get("coordinator")
+        if child is None or child.exit_code != UNREACHABLE:
+            raise
+        # The process has the same code for it.
+        exit_with_error(str(error), UNREACHABLE, code="no-router")
     value = {"fleet": live.fleet.fleet, "connect": live.connect, "state": str(live.state), "digest": live.fleet.digest}
     words = f"a coordinator of fleet {live.fleet.fleet} leads, or stands by; state in {live.state}; Ctrl-C ends it"
     print_result(value, words, as_json=as_json)

@@ -12,6 +12,7 @@ from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.base.extras import require_extra
 
 if TYPE_CHECKING:
+    from orchestrator.coordinator.journal.postgres.address import JournalAddress
     from orchestrator.coordinator.journal.postgres.journal import FleetDatabase
     from orchestrator.coordinator.journal.sql.inspection import JournalCheck
     from orchestrator.runtime.state.backup import BackupSource
@@ -175,17 +176,23 @@ def find_target(state: Path | None, fleet: str | None, address: str | None) -> J
     return StateFolder(state or default_state(fleet or ""))
 
 
-def _find_database(state: Path | None, fleet: str | None, address: str) -> JournalPlace:
+def read_database_address(text: str) -> "JournalAddress":
+    """The address of a database as a command takes it; ends it for one that cannot be read, or without the extra."""
     require_extra("postgres")
     from orchestrator.coordinator.journal.postgres.address import read_address
-    from orchestrator.coordinator.journal.postgres.journal import FleetDatabase
-    from orchestrator.coordinator.journal.postgres.tools import find_fleets
     from orchestrator.coordinator.journal.records import JournalError
 
     try:
-        known_address = read_address(address)
+        return read_address(text)
     except JournalError as error:
         exit_with_error(error.text, BAD_INPUT, error.remedy)
+
+
+def _find_database(state: Path | None, fleet: str | None, address: str) -> JournalPlace:
+    known_address = read_database_address(address)
+    from orchestrator.coordinator.journal.postgres.journal import FleetDatabase
+    from orchestrator.coordinator.journal.postgres.tools import find_fleets
+
     if fleet is None:
         fleets = find_fleets(known_address)
         if not fleets:

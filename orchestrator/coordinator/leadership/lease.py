@@ -71,7 +71,7 @@ class LeaseKeeper:
 
     async def wait_for_end(self) -> None:
         """Wait until no leader holds the lease."""
-        await wait_for_lease_end(self._terms, self._clock)
+        await LeaseWatch(self._terms, self._clock).wait_for_end()
 
     async def start(self) -> None:
         """Take the lease. Raises `JournalError`."""
@@ -128,22 +128,47 @@ class LeaseKeeper:
             self._on_over(reason)
 
 
-async def wait_for_lease_end(terms: LeaseTerms, clock: Clock, patience_ns: int = 0) -> None:
-    """Wait until the leader has not renewed its lease for the whole of it, or has given it back. Instants of others are
-    not compared: it is counted from when the number of renewals was seen to change. A journal that does not answer
-    shows no end. patience_ns: how much longer to wait, for another standby that is preferred."""
-    turn: tuple[int, int] | None = (0, -1)
-    seen_ns = clock.now_ns()
-    while True:
-        begun_ns = clock.now_ns()
+class LeaseWatch:
+    """Knows whether the lease is held. Instants of others are not compared: it is counted from when the number of
+    renewals was seen to change. A journal that does not answer shows no end. patience_ns: how much longer it counts as
+    held, for another standby that is preferred."""
+
+    def __init__(self, terms: LeaseTerms, clock: Clock, patience_ns: int = 0) -> None:
+        self._terms = terms
+        self._clock = clock
+        self._patience_ns = patience_ns
+        self._turn: tuple[int, int] | None = (0, -1)
+        self._seen_ns = clock.now_ns()
+        self.is_over = False
+        """Whether the leader has not renewed its lease for the whole of it, or has given it back, when last looked."""
+
+    async def look(self) -> None:
+        """Ask the journal."""
+        begun_ns = self._clock.now_ns()
         try:
-            turn_now = await terms.run(terms.lease.read_turn)
+            turn = await self._terms.run(self._terms.lease.read_turn)
         except JournalError:
-            seen_ns = clock.now_ns()
-        else:
-            if turn_now != turn:
-                turn, seen_ns = turn_now, clock.now_ns()
-            held_ns = 0 if turn_now is None else terms.duration_ns
-            if begun_ns - seen_ns >= held_ns + patience_ns or (turn_now is None and not patience_ns):
-                return
-        await sleep_ns(clock, terms.duration_ns // LOOKS_A_LEASE)
+            self._seen_ns = self._clock.now_ns()
+            self.is_over = False
+            return
+        if turn != self._turn:
+            self._turn, self._seen_ns = turn, self._clock.now_ns()
+        held_ns = 0 if turn is None else self._terms.duration_ns
+        waited_ns = begun_ns - self._seen_ns
+        self.is_over = waited_ns >= held_ns + self._patience_ns or (turn is None and not self._patience_ns)
+
+    async def keep_looking(self) -> None:
+        """Ask the journal from time to time."""
+        while True:
+            await self.look()
+            await self._wait()
+
+    async def wait_for_end(self) -> None:
+        """Wait until no leader holds the lease."""
+        await self.look()
+        while not self.is_over:
+            await self._wait()
+            await self.look()
+
+    async def _wait(self) -> None:
+        await sleep_ns(self._clock, self._terms.duration_ns // LOOKS_A_LEASE)

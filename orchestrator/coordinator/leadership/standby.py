@@ -5,11 +5,10 @@ continue with outdated state when it resumes. Its epoch is over then and no adap
 stay locked; so the standby kills it first. A file beside the journal names the leader's process.
 """
 
-import asyncio
 import json
 import os
 import signal
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -25,9 +24,12 @@ from orchestrator.model.messages import HEARTBEAT_NS, LeaderHeartbeat
 POLL_NS = HEARTBEAT_NS // 2
 
 
-async def wait_for_vacancy(bus: Bus, keys: FleetKeys, clock: Clock) -> None:
+async def wait_for_vacancy(
+    bus: Bus, keys: FleetKeys, clock: Clock, is_lease_over: Callable[[], bool] = lambda: True
+) -> None:
     """Wait until no heartbeat has arrived for the time within which a live leader is received, measured while this
-    process was awake: a process that slept, or was suspended, has received nothing."""
+    process was awake: a process that slept, or was suspended, has received nothing. is_lease_over: whether no leader
+    holds the lease either, at the same time."""
     heard_ns = clock.now_ns()
     leader: tuple[int, str] | None = None
     asking = TaskOwner()
@@ -52,7 +54,7 @@ async def wait_for_vacancy(bus: Bus, keys: FleetKeys, clock: Clock) -> None:
     subscription = await bus.subscribe(keys.leader, receive_heartbeat)
     try:
         now_ns = clock.now_ns()
-        while now_ns - heard_ns < LEADER_TIMEOUT_NS:
+        while now_ns - heard_ns < LEADER_TIMEOUT_NS or not is_lease_over():
             await sleep_ns(clock, POLL_NS)
             overslept_ns, now_ns = clock.now_ns() - now_ns - POLL_NS, clock.now_ns()
             if overslept_ns > POLL_NS:
@@ -66,14 +68,12 @@ async def stand_by(
     keys: FleetKeys,
     clock: Clock,
     name: str,
-    wait_for_lease: Callable[[], Awaitable[None]] | None = None,
+    is_lease_over: Callable[[], bool] = lambda: True,
 ) -> None:
-    """Wait until there is no leader, and say meanwhile that a standby of this name waits. wait_for_lease: waits for the
-    end of the leader's lease, where the journal has one."""
+    """`wait_for_vacancy`; says meanwhile that a standby of this name waits."""
     token = await bus.announce(keys.live("coordinator", name, STANDBY))
     try:
-        waits = [wait_for_vacancy(bus, keys, clock), *([] if wait_for_lease is None else [wait_for_lease()])]
-        await asyncio.gather(*waits)
+        await wait_for_vacancy(bus, keys, clock, is_lease_over)
     finally:
         await token.undeclare()
 

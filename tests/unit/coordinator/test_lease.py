@@ -9,7 +9,7 @@ import pytest
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.journal.records import JournalError
-from orchestrator.coordinator.leadership.lease import HELD_SHARE, LeaseKeeper, LeaseTerms, wait_for_lease_end
+from orchestrator.coordinator.leadership.lease import HELD_SHARE, LeaseKeeper, LeaseTerms, LeaseWatch
 
 T = TypeVar("T")
 LEASE_NS = 3 * NS_PER_S
@@ -67,7 +67,7 @@ def test_a_leader_without_its_journal_ends_once_before_a_standby_begins(delay_ns
         lease.is_away = True
         standby = ScriptedLease(clock)
         standby.epoch, standby.renewals = 1, lease.renewals
-        await wait_for_lease_end(LeaseTerms(standby, standby.run, LEASE_NS), clock)
+        await LeaseWatch(LeaseTerms(standby, standby.run, LEASE_NS), clock).wait_for_end()
         ((ended_ns, reason),) = over
         assert "could not be renewed for 2.0 s: the server does not answer" in reason
         assert not keeper.holds
@@ -132,7 +132,7 @@ def test_a_standby_waits_for_the_whole_lease_and_not_for_one_that_was_given_back
         keeper = make_keeper(clock, lease, over)
         await keeper.start()
         terms = LeaseTerms(lease, lease.run, LEASE_NS)
-        waiting = asyncio.ensure_future(wait_for_lease_end(terms, clock))
+        waiting = asyncio.ensure_future(LeaseWatch(terms, clock).wait_for_end())
         await sleep_ns(clock, 20 * NS_PER_S)
         assert not waiting.done()
         # A journal that does not answer shows no end of the lease.
@@ -146,12 +146,35 @@ def test_a_standby_waits_for_the_whole_lease_and_not_for_one_that_was_given_back
         # One that is given back ends at once.
         other = make_keeper(clock, lease, over)
         await other.start()
-        waiting = asyncio.ensure_future(wait_for_lease_end(terms, clock))
+        waiting = asyncio.ensure_future(LeaseWatch(terms, clock).wait_for_end())
         await sleep_ns(clock, NS_PER_S)
         await other.close()
         begun_ns = clock.now_ns()
         await waiting
         assert clock.now_ns() - begun_ns <= LEASE_NS / 10
         assert len(over) == 1
+
+    run_virtual(main)
+
+
+def test_a_lease_that_was_over_is_held_again_by_the_next_leader() -> None:
+    """A standby that began before any leader did waits for the one that was first."""
+
+    async def main(clock: VirtualClock) -> None:
+        lease = ScriptedLease(clock)
+        lease.is_released = True
+        watch = LeaseWatch(LeaseTerms(lease, lease.run, LEASE_NS), clock)
+        await watch.look()
+        assert watch.is_over
+        lease.is_released = False
+        await watch.look()
+        assert not watch.is_over
+        # Nor does one that cannot be asked count as over.
+        lease.is_released = True
+        await watch.look()
+        assert watch.is_over
+        lease.is_away = True
+        await watch.look()
+        assert not watch.is_over
 
     run_virtual(main)

@@ -68,3 +68,35 @@ def test_a_standby_that_was_stopped_listens_before_it_takes_over() -> None:
         assert LEADER_TIMEOUT_NS <= clock.now_ns() - last_ns <= LEADER_TIMEOUT_NS + HEARTBEAT_NS
 
     run_virtual(main)
+
+
+def test_silence_alone_is_not_enough_while_the_lease_is_held() -> None:
+    async def main(clock: VirtualClock) -> None:
+        subscribed: list[Callable[[BusSample], None]] = []
+
+        async def subscribe(_: str, callback: Callable[[BusSample], None]) -> Any:
+            subscribed.append(callback)
+            return SimpleNamespace(undeclare=lambda: asyncio.sleep(0))
+
+        async def request(*_: object) -> bytes:
+            return REIGN.to_json()
+
+        is_over = True
+        bus: Any = SimpleNamespace(subscribe=subscribe, request=request)
+        standing = asyncio.ensure_future(wait_for_vacancy(bus, FleetKeys("demo"), clock, lambda: is_over))
+        # Over at the beginning, as where there was no leader; then one begins.
+        for _ in range(20):
+            await sleep_ns(clock, HEARTBEAT_NS)
+            subscribed[0](BEAT)
+        is_over = False
+        await sleep_ns(clock, 3 * NS_PER_S)
+        assert not standing.done()
+        # A leader that is received holds it, whatever the lease is.
+        subscribed[0](BEAT)
+        is_over = True
+        await sleep_ns(clock, LEADER_TIMEOUT_NS - HEARTBEAT_NS)
+        assert not standing.done()
+        await sleep_ns(clock, 2 * HEARTBEAT_NS)
+        assert standing.done()
+
+    run_virtual(main)

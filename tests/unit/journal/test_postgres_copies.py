@@ -15,7 +15,7 @@ from unit.journal.servers import PostgresServer, find_programs
 from unit.journal.test_journal import JOB, end, utc
 
 from orchestrator.coordinator.journal.postgres.address import read_address
-from orchestrator.coordinator.journal.postgres.errors import ConnectionLost
+from orchestrator.coordinator.journal.postgres.errors import AnswerLate, ConnectionLost
 from orchestrator.coordinator.journal.postgres.journal import FleetDatabase, PostgresJournal
 from orchestrator.coordinator.journal.postgres.lease import LeaseRenewal
 from orchestrator.coordinator.journal.postgres.opening import find_database, open_journal
@@ -44,6 +44,15 @@ class Pair:
                 return
             signal.sigtimedwait([], LOOK_S)
         raise AssertionError(journal.read_health())
+
+    def wait_until_caught_up(self) -> None:
+        """Wait until the standby has all that the primary has."""
+        caught_up = "SELECT flush_lsn >= pg_current_wal_flush_lsn() FROM pg_stat_replication"
+        for _ in range(STEPS):
+            if self.primary.execute(caught_up) == [(True,)]:
+                return
+            signal.sigtimedwait([], LOOK_S)
+        raise AssertionError(self.primary.execute("SELECT * FROM pg_stat_replication"))
 
 
 @contextmanager
@@ -108,6 +117,34 @@ def test_without_the_standby_promises_are_refused_and_the_job_that_runs_goes_on(
         pair.wait_for_health(journal, "two copies")
         assert journal.accept_job("b", "b", JOB, utc(1)) == ("b", True)
         lease.close()
+
+
+def test_a_leader_at_rest_renews_its_lease_without_its_standby(pair: Pair, number: int) -> None:
+    """Nothing is written, so that the journal does not know that its copy is missing: the renewal finds it out, with
+    time left for the next one."""
+    place = FleetDatabase(read_address(pair.address), f"pair{number}", copies=2, deadline_s=0.5)
+    with closing(PostgresJournal(place)) as journal, closing(LeaseRenewal(place)) as lease:
+        epoch = journal.take_epoch(0)
+        assert lease.renew(epoch)
+        pair.standby.suspend()
+        try:
+            with pytest.raises(AnswerLate):
+                lease.renew(epoch)
+            assert not journal.database.is_copy_missing
+            began_s = perf_counter()
+            assert lease.renew(epoch) and lease.renew(epoch)
+            assert perf_counter() - began_s < place.deadline_s
+        finally:
+            pair.standby.resume()
+        pair.wait_until_caught_up()
+        assert lease.renew(epoch)
+        # It waits for the copy again.
+        pair.standby.suspend()
+        try:
+            with pytest.raises(AnswerLate):
+                lease.renew(epoch)
+        finally:
+            pair.standby.resume()
 
 
 def test_a_promise_that_waits_for_the_standby_is_unknown_and_is_answered_once_it_is_copied(

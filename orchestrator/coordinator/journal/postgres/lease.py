@@ -8,6 +8,8 @@ number of renewals change.
 from collections.abc import Callable
 from typing import NamedTuple
 
+from orchestrator.coordinator.journal.postgres.errors import AnswerLate
+from orchestrator.coordinator.journal.postgres.health import read_health
 from orchestrator.coordinator.journal.postgres.journal import FleetDatabase, open_session
 from orchestrator.coordinator.journal.postgres.names import STANDBY, name_session
 from orchestrator.coordinator.journal.postgres.session import Statement
@@ -17,6 +19,7 @@ _RENEW = (
     " FROM leader WHERE leader.epoch = ? RETURNING renewals"
 )
 _RELEASE = "UPDATE lease SET renewals = 0 FROM leader WHERE leader.epoch = ?"
+_LOG_PLACE = Statement("SELECT pg_current_wal_flush_lsn()::text")
 _READ = Statement("SELECT epoch, coordinator, renewals, renewed::text FROM leader CROSS JOIN lease")
 
 
@@ -39,16 +42,38 @@ class LeaseRenewal:
 
     def __init__(self, place: FleetDatabase, is_copy_missing: Callable[[], bool] = lambda: False) -> None:
         self._fleet = place.fleet
+        self._copies = place.copies
         self._session = open_session(place, STANDBY)
         self._is_copy_missing = is_copy_missing
+        self._awaited: str | None = None
+        """The place in the log that a standby must have: a renewal before it has waited in vain. None: none has."""
+        self._is_late = False
 
     def renew(self, epoch: int) -> bool:
         """Renew it; False: that epoch is over. Raises `JournalError`, also where no answer came in time: count from
         before the call, and only what returned True."""
         self._session.rename(name_session(self._fleet, str(epoch)))
-        local = [Statement("SET LOCAL synchronous_commit TO local")] if self._is_copy_missing() else []
+        is_local = self._is_copy_missing() or self._has_waited_in_vain()
+        local = [Statement("SET LOCAL synchronous_commit TO local")] if is_local else []
         statements = [Statement("BEGIN"), *local, Statement(_RENEW, (epoch,)), Statement("COMMIT")]
-        return bool(self._session.run_again(statements)[-2])
+        try:
+            is_renewed = bool(self._session.run_again(statements)[-2])
+        except AnswerLate:
+            self._is_late = True
+            raise
+        if not is_local:
+            self._awaited = None
+        return is_renewed
+
+    def _has_waited_in_vain(self) -> bool:
+        """Whether a renewal has waited for a copy that is missing. The journal may have written nothing meanwhile, and
+        does not know. Raises `JournalError`."""
+        if self._copies > 1 and self._is_late:
+            (((self._awaited,),),) = self._session.run_again([_LOG_PLACE])
+            self._is_late = False
+        if self._awaited is None:
+            return False
+        return read_health(self._session, self._copies, self._awaited).mode == "waits for a copy"
 
     def release(self, epoch: int) -> None:
         """Give it back, unless that epoch is over. Raises `JournalError`."""
