@@ -128,15 +128,15 @@ def require_newest_line(place: FleetDatabase, session: Session) -> None:
     that does not answer cannot be asked."""
     own_line = session.line
     for address in split_hosts(place.address) if own_line is not None else ():
-        other = open_session(place._replace(address=address, seen_line=None, deadline_s=PROBE_S), TOOL)
+        session_there = open_session(place._replace(address=address, seen_line=None, deadline_s=PROBE_S), TOOL)
         try:
-            other.run([Statement("SELECT 1")])
+            session_there.run([Statement("SELECT 1")])
         except JournalError:
             continue
         finally:
-            other.close()
-        if own_line is not None and other.line is not None and other.line.timeline:
-            own_line.require_not_older(other.line)
+            session_there.close()
+        if own_line is not None and session_there.line is not None and session_there.line.timeline:
+            own_line.require_not_older(session_there.line)
 
 
 def _make_schema(db: PostgresDatabase, fleet: str) -> None:

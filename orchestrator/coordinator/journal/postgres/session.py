@@ -159,8 +159,8 @@ class Session:
         try:
             self._require_usable(connection)
             self._end_backend()
-            ((pid, begun, system, timeline),) = self._run(connection, [Statement(_BACKEND)])[-1]
-            self._backend = (pid, begun)
+            ((pid, begin, system, timeline),) = self._run(connection, [Statement(_BACKEND)])[-1]
+            self._backend = (pid, begin)
             line = ServerLine(f"{connection.info.host}:{connection.info.port}", system, int(timeline, 16))
             self._seen_line.take_line(line)
             self.line = line
