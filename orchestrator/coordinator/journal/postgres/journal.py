@@ -1,5 +1,6 @@
 """The journal in PostgreSQL: one schema for each fleet, written by the leader of the latest epoch alone."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from orchestrator.coordinator.journal.facts import KeyedJob
@@ -29,13 +30,15 @@ _END_LEADERS = (
 
 class FleetDatabase(NamedTuple):
     """The journal of a fleet in a database. fleet: its name. copies: 1 or 2, the machines that a promise needs.
-    coordinator: what names this one in the database. deadline_s: of the statements that are sent together."""
+    coordinator: what names this one in the database. deadline_s: of the statements that are sent together.
+    make_session: makes a session of an address, a name of it, settings and a deadline."""
 
     address: JournalAddress
     fleet: str
     copies: int = 1
     coordinator: str = ""
     deadline_s: float = DEADLINE_S
+    make_session: Callable[[JournalAddress, str, str, float], Session] = Session
 
 
 class PostgresJournal(SqlJournal):
@@ -113,7 +116,7 @@ def open_session(place: FleetDatabase, role: str) -> Session:
         f"SET search_path TO \"{name_schema(place.fleet)}\"; SET timezone TO 'UTC'; SET statement_timeout TO 0;"
         f" SET lock_timeout TO 0; SET synchronous_commit TO {'on' if place.copies > 1 else 'local'}"
     )
-    return Session(place.address, name_session(place.fleet, role), settings, place.deadline_s)
+    return place.make_session(place.address, name_session(place.fleet, role), settings, place.deadline_s)
 
 
 def _make_schema(db: PostgresDatabase, fleet: str) -> None:
