@@ -12,6 +12,7 @@ from orchestrator.coordinator.journal.postgres.journal import FleetDatabase, ope
 from orchestrator.coordinator.journal.postgres.names import STANDBY, name_session
 from orchestrator.coordinator.journal.postgres.session import Statement
 
+_NAME = "SELECT set_config('application_name', ?, false)"
 _RENEW = (
     "UPDATE lease SET renewals = renewals + 1, renewed = clock_timestamp()"
     " FROM leader WHERE leader.epoch = ? RETURNING renewals"
@@ -45,10 +46,13 @@ class LeaseRenewal:
     def renew(self, epoch: int) -> bool:
         """Renew it; False: that epoch is over. Raises `JournalError`, also where no answer came in time: count from
         before the call, and only what returned True."""
-        self._session.rename(name_session(self._fleet, str(epoch)))
+        name, session = name_session(self._fleet, str(epoch)), self._session
+        # Not by another connection: that may take as long as a leader without a renewal may go on.
+        named = [] if session.application == name else [Statement(_NAME, (name,))]
+        session.application = name
         local = [Statement("SET LOCAL synchronous_commit TO local")] if self._is_copy_missing() else []
-        statements = [Statement("BEGIN"), *local, Statement(_RENEW, (epoch,)), Statement("COMMIT")]
-        return bool(self._session.run_again(statements)[-2])
+        statements = [*named, Statement("BEGIN"), *local, Statement(_RENEW, (epoch,)), Statement("COMMIT")]
+        return bool(session.run_again(statements)[-2])
 
     def release(self, epoch: int) -> None:
         """Give it back, unless that epoch is over. Raises `JournalError`."""

@@ -56,7 +56,7 @@ class Session:
     """A session that connects again after its connection was lost. For one thread at a time.
 
     name: what messages name the database by. settings: of each connection, as statements. application: names the
-    session on the server; changed by what takes an epoch."""
+    session on the server; changed, there as well, by what takes an epoch or renews its lease."""
 
     def __init__(
         self, address: JournalAddress, application: str, settings: str, deadline_s: float = DEADLINE_S
@@ -75,12 +75,6 @@ class Session:
     def connection(self) -> object | None:
         """What is connected at present; another object after it was lost."""
         return self._connection
-
-    def rename(self, application: str) -> None:
-        """Name it otherwise on the server; a connection with another name is closed."""
-        if application != self.application:
-            self.application = application
-            self._drop()
 
     def run(self, statements: Sequence[Statement]) -> list[list[Any]]:
         """Send statements together; return the rows of each.

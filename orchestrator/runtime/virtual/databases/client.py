@@ -1,11 +1,12 @@
 """The journal of one virtual coordinator in the databases of its fleet, with its lease."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.executor import Executor
+from orchestrator.coordinator.journal.calls import JournalCall
 from orchestrator.coordinator.journal.postgres.address import JournalAddress
 from orchestrator.coordinator.journal.postgres.database import PostgresDatabase
 from orchestrator.coordinator.journal.postgres.journal import FleetDatabase, PostgresJournal, open_session
@@ -71,6 +72,7 @@ class JournalClient:
         async def run_call(function: Callable[..., T], *values: Any) -> T:
             async with lock:
                 await sleep_ns(self._clock, self._site.call_ns // 2)
+                self._site.facts = _name_facts(function, values)
                 try:
                     result: T | JournalError = function(*values)
                 except JournalError as error:
@@ -82,3 +84,8 @@ class JournalClient:
                 return result
 
         return run_call
+
+
+def _name_facts(function: Callable[..., object], values: Sequence[Any]) -> tuple[str, ...]:
+    calls: Sequence[JournalCall] = values[0] if function.__name__ == PostgresJournal.run_group.__name__ else ()
+    return tuple(call.name for call in calls) or (function.__name__,)

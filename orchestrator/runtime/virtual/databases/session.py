@@ -91,8 +91,7 @@ class VirtualSession(Session):
         text, db = _LEFT_OUT.sub("", statement.text), self._site.journal.database
         match text.split("(")[0]:
             case str() as begin if begin.startswith("BEGIN"):
-                self._is_local = False
-                db.write("BEGIN")
+                self._begin()
                 return []
             case "COMMIT":
                 self._commit()
@@ -114,26 +113,30 @@ class VirtualSession(Session):
         db = self._site.journal.database
         is_whole = not db.in_transaction and not text.startswith(("SELECT", "WITH"))
         if is_whole:
-            self._is_local = False
-            db.write("BEGIN")
+            self._begin()
         rows = db.select(text, values)
         if is_whole:
             self._commit()
         return rows
 
+    def _begin(self) -> None:
+        # What dies before the commit does so here: the contents can be copied.
+        self._site.on_commit("before", self._computer)
+        self._require_answers()
+        self._is_local = False
+        self._site.journal.database.write("BEGIN")
+
     def _commit(self) -> None:
         site, begun_ns = self._site, self._spent_ns
-        site.on_commit("before", self.application)
-        self._require_answers()
         site.journal.database.write("COMMIT")
         site.position += 1
         has_copy = bool(site.standbys)
-        site.on_commit("during", self.application)
+        site.on_commit("during", self._computer)
         self._require_answers()
         self._spent_ns += site.commit_ns
         if not (self._is_local or self._is_one_copy or has_copy) and len(site.machines) > 1:
             self._raise_late(begun_ns)
-        site.on_commit("after", self.application)
+        site.on_commit("after", self._computer)
 
     def _require_answers(self) -> None:
         """Raises `JournalError` if its machine cannot be reached any more."""

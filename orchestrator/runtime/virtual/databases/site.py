@@ -59,8 +59,10 @@ class DatabaseSite:
         """How much longer a commit takes."""
         self.is_silent = False
         """Whether a machine that is dead does not answer at all; else its system refuses connections."""
+        self.facts: tuple[str, ...] = ()
+        """What the present call stores or asks: names of the calls of a journal, or of a lease."""
         self.on_commit: Callable[[CommitMoment, str], None] = lambda _, __: None
-        """Called at each commit, with the application name of its session."""
+        """Called at each commit, with the computer of its session."""
         self.journal = SqliteJournal(MEMORY)
         """The contents of the primary."""
         self.sessions: list[SiteSession] = []
