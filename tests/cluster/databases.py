@@ -86,6 +86,7 @@ class Life:
             if self._are_ended():
                 return
             with suppress(Refusal):
+                await client.release_jobs()  # a job that has failed holds those behind it
                 await client.start_queue()
             await sleep_ns(self.fleet.clock, NS_PER_S)
         rows = [self.fleet.journal.load_record(job_id) for job_id in self.accepted.values()]
@@ -135,6 +136,7 @@ class Life:
             assert row is not None, f"{name} is lost"
             changes = journal.list_transitions(job_id)
             ends = [change for change in changes if change.state in FINISHED_STATES]
+            assert "defect" not in row.reason, row.reason
             assert len(ends) == 1, (name, changes)
             starts = [start for motor in motors for start in moved.get(motor, [])]
             for start_ns in starts:
