@@ -165,3 +165,37 @@ async def wait_for_leader(fleet: VirtualFleet, name: str) -> int:
         lambda states: all(each.epoch == fleet.coordinators[name][1].leadership.epoch > 0 for each in states.values())
     )
     return fleet.clock.now_ns()
+
+
+def strike_life(number: int, moment: CommitMoment, strike: Callable[[VirtualFleet, DatabaseSite], None]) -> "Struck":
+    """Live a life with a fault at one commit of it, and check it. strike: the fault."""
+
+    async def main(fleet: VirtualFleet, site: DatabaseSite) -> Struck:
+        life, before, struck = Life(fleet, site), count_motions(fleet), Struck()
+
+        def strike_once() -> None:
+            struck.at_ns = fleet.clock.now_ns()
+            strike(fleet, site)
+            if not fleet.coordinators["first"][0].alive:
+                Context().run(fleet.clock.loop.create_task, note_leader())
+
+        async def note_leader() -> None:
+            struck.led_ns = await wait_for_leader(fleet, "second") - struck.at_ns
+
+        life.strike_at(number, moment, strike_once)
+        await life.live()
+        life.check(before)
+        struck.facts, struck.lines = life.facts, fleet.lines
+        return struck
+
+    return run_site(main)
+
+
+@dataclass
+class Struck:
+    """at_ns: of the fault, host ns; 0: there was none. led_ns: from then until the standby had adopted all."""
+
+    at_ns: int = 0
+    led_ns: int = 0
+    facts: list[tuple[str, ...]] = field(default_factory=list[tuple[str, ...]])
+    lines: list[str] = field(default_factory=list[str])

@@ -8,6 +8,8 @@ number of renewals change.
 from collections.abc import Callable
 from typing import NamedTuple
 
+from orchestrator.coordinator.journal.postgres.errors import AnswerLate
+from orchestrator.coordinator.journal.postgres.health import BEGINNING, read_health
 from orchestrator.coordinator.journal.postgres.journal import FleetDatabase, open_session
 from orchestrator.coordinator.journal.postgres.names import STANDBY, name_session
 from orchestrator.coordinator.journal.postgres.session import Statement
@@ -18,6 +20,7 @@ _RENEW = (
     " FROM leader WHERE leader.epoch = ? RETURNING renewals"
 )
 _RELEASE = "UPDATE lease SET renewals = 0 FROM leader WHERE leader.epoch = ?"
+_LOG_PLACE = Statement("SELECT pg_current_wal_flush_lsn()::text")
 _READ = Statement("SELECT epoch, coordinator, renewals, renewed::text FROM leader CROSS JOIN lease")
 
 
@@ -41,7 +44,10 @@ class LeaseRenewal:
     def __init__(self, place: FleetDatabase, is_copy_missing: Callable[[], bool] = lambda: False) -> None:
         self._fleet = place.fleet
         self._session = open_session(place, STANDBY)
+        self._copies = place.copies
         self._is_copy_missing = is_copy_missing
+        self._awaited: str | None = None
+        """After a renewal without an answer: the place in the log that a standby must have to count."""
 
     def renew(self, epoch: int) -> bool:
         """Renew it; False: that epoch is over. Raises `JournalError`, also where no answer came in time: count from
@@ -50,9 +56,25 @@ class LeaseRenewal:
         # Not by another connection: that may take as long as a leader without a renewal may go on.
         named = [] if session.application == name else [Statement(_NAME, (name,))]
         session.application = name
-        local = [Statement("SET LOCAL synchronous_commit TO local")] if self._is_copy_missing() else []
+        is_local = self._is_copy_missing() or self._has_lost_copy()
+        local = [Statement("SET LOCAL synchronous_commit TO local")] if is_local else []
         statements = [*named, Statement("BEGIN"), *local, Statement(_RENEW, (epoch,)), Statement("COMMIT")]
-        return bool(session.run_again(statements)[-2])
+        try:
+            return bool(session.run_again(statements)[-2])
+        except AnswerLate:
+            self._awaited = BEGINNING
+            raise
+
+    def _has_lost_copy(self) -> bool:
+        """Whether a copy is missing, once a renewal had no answer: a leader at rest writes nothing to the journal by
+        which it would find out before its lease is over. Raises `JournalError`."""
+        if self._awaited is None:
+            return False
+        if self._awaited == BEGINNING:
+            ((self._awaited,),) = self._session.run_again([_LOG_PLACE])[0]
+        is_missing = read_health(self._session, self._copies, self._awaited).mode == "waits for a copy"
+        self._awaited = self._awaited if is_missing else None
+        return is_missing
 
     def release(self, epoch: int) -> None:
         """Give it back, unless that epoch is over. Raises `JournalError`."""
