@@ -32,6 +32,7 @@ from orchestrator.campaign.jobs import (
     make_trial,
     make_witness,
 )
+from orchestrator.campaign.journal_checks import JournalChecker
 from orchestrator.campaign.operator import NamedCommands
 from orchestrator.campaign.paths import PathChecker
 from orchestrator.campaign.program import run_program
@@ -57,9 +58,10 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, group_by_controller
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import controller_of
-from orchestrator.model.queue import QueueTerms
+from orchestrator.model.queue import JournalPolicy, QueueTerms
 from orchestrator.model.report import FINISHED_STATES, QueueEntry
 from orchestrator.model.state import ControllerState
+from orchestrator.runtime.virtual.databases.site import DatabaseSite
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 REPAIR_DELAY_NS = 2 * NS_PER_S  # from the fault to its repair: by then it is detected everywhere
@@ -69,6 +71,7 @@ READY_TIMEOUT_S = 25.0  # for a fleet to become ready after the repair
 OPERATOR_DELAY_NS = 4 * NS_PER_S  # after a restart, before the operator starts the queue
 OPERATOR_PERIOD_NS = NS_PER_S  # between two looks of the operator at the queue
 LIVENESS_NS = 60 * NS_PER_S  # for the remaining jobs to end, or a command to be named
+MACHINES = ("db-a", "db-b", "db-c")  # with a journal in databases
 POLL_NS = 200 * NS_PER_MS
 JOG_CHANCE = 0.3  # chance of a jog during the phase
 
@@ -134,7 +137,10 @@ def run_scenario(seed: int, cells: Sequence[FaultCell], *, apart: bool = False) 
     makes = [cell.make for cell in cells]
     if any(cell.fault == "permit-lost" for cell in cells):
         makes.append(PERMIT_MAKE)
-    seed_run = SeedRun(seed, tuple(cells), make_stage_fleet(seed, makes, {cell.stage for cell in cells}))
+    fleet = make_stage_fleet(seed, makes, {cell.stage for cell in cells})
+    if any(FAULTS[cell.fault].of_databases for cell in cells):
+        fleet = fleet.model_copy(update={"journal": JournalPolicy(copies=2)})
+    seed_run = SeedRun(seed, tuple(cells), fleet)
 
     async def run_in_clock(clock: VirtualClock) -> None:
         scenario = _Scenario(seed_run, clock, make_computers(seed_run.fleet, clock, seed) if apart else {})
@@ -173,11 +179,13 @@ class _Scenario:
         self._witnesses = 0
         self._programs = TaskOwner()
         self.recorder = BusRecorder(clock, self._on_request)
-        self.virtual = VirtualFleet(seed_run.fleet, clock, seed_run.seed)
+        site = DatabaseSite(MACHINES) if seed_run.fleet.journal.copies > 1 else None
+        self.virtual = VirtualFleet(seed_run.fleet, clock, seed_run.seed, site=site)
         self.virtual.computers.update(computers)
         connect_computers(self.virtual, seed_run.seed)
         self.virtual.wrap_bus = self.recorder.wrap_bus
         self.checker = InvariantChecker(self.virtual, self.recorder, seed_run.seed)
+        self._databases = site and JournalChecker(self.virtual, site, self.recorder, self.checker.add_violation)
         self._paths = PathChecker(self.virtual, self.checker.add_violation)
         self._authority = AuthorityChecker(self.virtual, self.checker.add_violation)
         self._injector = FaultInjector(self.virtual, clock, self._draw)
@@ -189,6 +197,8 @@ class _Scenario:
     async def run_phases(self) -> None:
         """Prepare the fleet, and run one phase after the other."""
         await self.virtual.start()
+        if self._databases:
+            self.virtual.start_coordinator("standby", standby=True)
         client = self.virtual.make_client()
         await self._authority.watch()
         looking = asyncio.get_running_loop().create_task(self._poll_velocities())
@@ -279,6 +289,8 @@ class _Scenario:
             await self._attendance.__aexit__()
             self._attendance = None
         self.checker.check_phase(act)
+        if self._databases:
+            self._databases.check_phase(act)
         self.checker.check_positions(await client.status(1.0))
 
     def _log_ends(self, phase: CampaignPhase) -> None:
@@ -298,6 +310,8 @@ class _Scenario:
             self._log_event(f"{order.job.name} is not accepted: {refusal.text}")
             return key
         phase.jobs[job_id] = order
+        if self._databases:
+            self._databases.accepted.add(job_id)
         if order.asked_steps:
             self._programs.spawn(run_program(client, self._clock, job_id, order.asked_steps))
         self._log_event(f"{order.job.name} of {', '.join(order.controllers)}")
@@ -438,7 +452,7 @@ class _Scenario:
         states: dict[str, ControllerState] = {}
         for _ in range(round(READY_TIMEOUT_S / 0.5)):
             states = await client.status(1.0)
-            epoch = self.virtual.coordinators[self._injector.leader_name][1].leadership.epoch
+            epoch = self.virtual.coordinators[self._injector.find_leader()][1].leadership.epoch
             troubled_controllers = [
                 name
                 for name in fleet.controllers
@@ -502,6 +516,8 @@ class _Scenario:
         if request.verb in SEARCHES and request.answered_ns is not None:
             at["found"] = now_ns
         self.checker.note_request(request)
+        if self._databases:
+            self._databases.check_request(request)
         if request.verb in ("go", "start-at-once") and request.accepted:
             at.setdefault("fire", now_ns)
             at.setdefault("t0", self._t0_host_ns(request))

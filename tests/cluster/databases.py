@@ -124,7 +124,9 @@ class Life:
         """Nothing that was accepted is lost, nothing has run twice, and nothing has moved unasked."""
         journal, moved = self.fleet.journal, dict[str, list[int]]()
         origin_ns = next(
-            each.leadership.scale.origin_host_ns for _, each in self.fleet.coordinators.values() if each.leadership.epoch
+            each.leadership.scale.origin_host_ns
+            for _, each in self.fleet.coordinators.values()
+            if each.leadership.epoch
         )
         for name, unit in self.fleet.controllers.items():
             for motion in unit.commanded_motions[motions_before[name] :]:

@@ -44,23 +44,17 @@ class JournalClient:
         self._computer = computer
         self._is_alive = is_alive
         self._sessions: list[VirtualSession] = []
-        place = FleetDatabase(
-            ADDRESS, fleet.fleet, fleet.journal.copies, computer, make_session=self._make_session
-        )
+        place = FleetDatabase(ADDRESS, fleet.fleet, fleet.journal.copies, computer, make_session=self._make_session)
         self.journal = _ConnectingJournal(place)
         deadline_s = min(place.deadline_s, fleet.journal.lease / 3 / NS_PER_S)
-        lease = LeaseRenewal(
-            place._replace(deadline_s=deadline_s), lambda: self.journal.database.is_copy_missing
-        )
+        lease = LeaseRenewal(place._replace(deadline_s=deadline_s), lambda: self.journal.database.is_copy_missing)
         journal_session, lease_session = self._sessions
         self.execute = self._make_executor(journal_session)
         run_lease = self._make_executor(lease_session)
         self.server = JournalServer(lease, run_lease, self.journal.read_health)
         self.terms = LeaseTerms(lease, run_lease, fleet.journal.lease)
 
-    def _make_session(
-        self, _: JournalAddress, application: str, settings: str, deadline_s: float
-    ) -> VirtualSession:
+    def _make_session(self, _: JournalAddress, application: str, settings: str, deadline_s: float) -> VirtualSession:
         session = VirtualSession(self._site, self._computer, self._is_alive, application, settings, deadline_s)
         self._sessions.append(session)
         return session

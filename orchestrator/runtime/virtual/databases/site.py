@@ -10,7 +10,6 @@ from contextlib import suppress
 from typing import Literal, Protocol
 
 from orchestrator.clock.base import NS_PER_MS
-from orchestrator.coordinator.journal.postgres.schema import VERSION
 from orchestrator.coordinator.journal.sqlite.database import MEMORY, SqliteDatabase, connect_database
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.model.queue import CopyMode
@@ -22,12 +21,10 @@ EPOCH_BEGIN = "2026-01-01T00:00:00Z"
 
 # What a database has besides the tables of records, as in PostgreSQL.
 _SERVER_TABLES = (
-    "CREATE TABLE journal_schema (version INTEGER NOT NULL)",
     "CREATE TABLE leader (epoch INTEGER NOT NULL, coordinator TEXT NOT NULL)",
     "CREATE TABLE lease (renewals INTEGER NOT NULL, renewed TEXT NOT NULL)",
     "CREATE TABLE marks (writer TEXT NOT NULL, number INTEGER NOT NULL)",
     "CREATE TABLE confirmations (number INTEGER NOT NULL)",
-    f"INSERT INTO journal_schema VALUES ({VERSION})",
     "INSERT INTO leader VALUES (0, '')",
     f"INSERT INTO lease VALUES (0, '{EPOCH_BEGIN}')",
     "INSERT INTO marks VALUES ('', 0)",
