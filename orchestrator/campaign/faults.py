@@ -176,6 +176,8 @@ class FaultInjector:
 
     async def inject_fault(self, fault: FaultKind, member: str) -> Repair:
         """Inject the fault now; return its repair, for `repair_fault`."""
+        if fault.of_databases:
+            return journal_faults.inject_fault(self._fleet, fault.name, self.find_leader(), self._draw)
         blow = {"fleet": self._inject_fleet_fault, "host": self._inject_host_fault, "line": self._links.inject_fault}
         repair = blow.get(fault.reach, self._inject_controller_fault)(fault.name, member)
         if fault.name == "states-lost":
@@ -215,8 +217,6 @@ class FaultInjector:
 
     def _inject_fleet_fault(self, fault: str, _: str) -> Repair:
         fleet = self._fleet
-        if FAULTS[fault].of_databases:
-            return journal_faults.inject_fault(fleet, fault, self.find_leader(), self._draw)
         leader = f"coordinator/{self.leader_name}"
         match fault:
             case "estop" | "operator-resets-early" | "states-lost":

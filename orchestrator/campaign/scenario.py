@@ -180,7 +180,9 @@ class _Scenario:
         self._programs = TaskOwner()
         self.recorder = BusRecorder(clock, self._on_request)
         site = DatabaseSite(MACHINES) if seed_run.fleet.journal.copies > 1 else None
-        self.virtual = VirtualFleet(seed_run.fleet, clock, seed_run.seed, site=site)
+        self.virtual = VirtualFleet(seed_run.fleet, clock, seed_run.seed)
+        if site is not None:
+            self.virtual.use_databases(site)
         self.virtual.computers.update(computers)
         connect_computers(self.virtual, seed_run.seed)
         self.virtual.wrap_bus = self.recorder.wrap_bus

@@ -42,7 +42,8 @@ def run_site(
     async def run(clock: VirtualClock) -> T:
         site = DatabaseSite(machines)
         fleet = demo_fleet().model_copy(update={"journal": JournalPolicy(copies=2)})
-        virtual = VirtualFleet(fleet, clock, seed, site=site)
+        virtual = VirtualFleet(fleet, clock, seed)
+        virtual.use_databases(site)
         await virtual.start()
         virtual.start_coordinator("second", standby=True)
         assert (await outcome(virtual, PREPARE)).state == "done"

@@ -22,7 +22,7 @@ from orchestrator.campaign.scenario import SINGLE_MEMBER_STAGES, FaultCell, run_
 from orchestrator.campaign.stages.hall import HALL_MAKE, HALL_STAGES
 from orchestrator.cli.sim.campaign import STAGE_NAMES
 
-IN_HALLS = [
+IN_HALLS: list[tuple[Stage, str]] = [
     *(("fire", "host-killed"), ("propose", "load-late"), ("motion", "key-frames-lost")),
     *(("motion", "frame-lost"), ("commit", "frames-repeated"), ("chain", "frames-reordered")),
     *(("home", "frame-lost"), ("go", "coordinator-killed"), ("arm", "states-lost")),
@@ -36,7 +36,7 @@ DIRECTED = [
 ]
 """Each other fault once, with stages and makes in turn."""
 
-OF_DATABASES = [
+OF_DATABASES: list[tuple[Stage, str]] = [
     *(("commit", "leader-machine-died"), ("motion", "primary-died")),
     *(("motion", "journal-slow"), ("go", "journal-lost"), ("chain", "leader-machine-died")),
 ]

@@ -7,7 +7,6 @@ import pytest
 pytest.importorskip("psycopg")
 from cluster.databases import (
     LEASE_NS,
-    LONG,
     MORE_NS,
     SHORT,
     count_motions,

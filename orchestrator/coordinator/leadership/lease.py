@@ -74,8 +74,8 @@ class LeaseKeeper:
         await wait_for_lease_end(self._terms, self._clock)
 
     async def connect(self) -> None:
-        """Reach the lease before it is taken: to connect may take as long as a leader without a renewal may go on. Raises
-        `JournalError`."""
+        """Reach the lease before it is taken: to connect may take as long as a leader without a renewal may go on.
+        Raises `JournalError`."""
         await self._terms.run(self._terms.lease.read_turn)
 
     async def start(self) -> None:

@@ -80,8 +80,7 @@ class _RunningHost:
 class VirtualFleet:
     """A simulation of the whole `fleet`; all randomness comes from `seed`. Create it outside every process.
 
-    wired: the real wiring, where it differs from the fleet file. site: the databases that the journal is in; else it is
-    a file on the coordinators' disk.
+    wired: the real wiring, where it differs from the fleet file.
     """
 
     def __init__(
@@ -92,7 +91,6 @@ class VirtualFleet:
         wired: Fleet | None = None,
         *,
         guardian: bool = True,
-        site: "DatabaseSite | None" = None,
     ) -> None:
         self.fleet = fleet
         self.computers: dict[str, ComputerClock] = {}
@@ -104,8 +102,8 @@ class VirtualFleet:
         self.net = MemoryNet(clock, seed=seed, latency=BUS_LATENCY)
         self.keys = FleetKeys(fleet.fleet)
         self.lines: list[str] = []
-        self.site = site
-        self.journal = SqliteJournal(MEMORY) if site is None else site.journal
+        self.site: DatabaseSite | None = None
+        self.journal = SqliteJournal(MEMORY)
         """What the coordinators' journal contains at present."""
         self.controllers: dict[str, SimulatedController] = {}
         self.wires: dict[str, MemoryWire] = {}
@@ -132,6 +130,10 @@ class VirtualFleet:
             self._connect_wire(connection)
 
     # Start, wait, client
+
+    def use_databases(self, site: "DatabaseSite") -> None:
+        """Have the journal in databases, instead of a file on the coordinators' disk. Before the start."""
+        self.site, self.journal = site, site.journal
 
     async def start(self) -> None:
         """Start all adapter hosts and one coordinator; return when every controller is adopted and idle."""

@@ -46,8 +46,10 @@ class LeaseRenewal:
         self._session = open_session(place, STANDBY)
         self._copies = place.copies
         self._is_copy_missing = is_copy_missing
-        self._awaited: str | None = None
-        """After a renewal without an answer: the place in the log that a standby must have to count."""
+        self._is_doubtful = False
+        """Whether a renewal had no answer, and the copies were not seen since."""
+        self._awaited = BEGINNING
+        """The place in the log that a standby must have then to count."""
 
     def renew(self, epoch: int) -> bool:
         """Renew it; False: that epoch is over. Raises `JournalError`, also where no answer came in time: count from
@@ -62,19 +64,18 @@ class LeaseRenewal:
         try:
             return bool(session.run_again(statements)[-2])
         except AnswerLate:
-            self._awaited = BEGINNING
+            self._is_doubtful, self._awaited = True, BEGINNING
             raise
 
     def _has_lost_copy(self) -> bool:
         """Whether a copy is missing, once a renewal had no answer: a leader at rest writes nothing to the journal by
         which it would find out before its lease is over. Raises `JournalError`."""
-        if self._awaited is None:
+        if not self._is_doubtful:
             return False
         if self._awaited == BEGINNING:
             ((self._awaited,),) = self._session.run_again([_LOG_PLACE])[0]
-        is_missing = read_health(self._session, self._copies, self._awaited).mode == "waits for a copy"
-        self._awaited = self._awaited if is_missing else None
-        return is_missing
+        self._is_doubtful = read_health(self._session, self._copies, self._awaited).mode == "waits for a copy"
+        return self._is_doubtful
 
     def release(self, epoch: int) -> None:
         """Give it back, unless that epoch is over. Raises `JournalError`."""

@@ -17,7 +17,7 @@ from orchestrator.coordinator.journal.sql.journal import SqlJournal
 from orchestrator.coordinator.leadership.environment import JournalServer
 from orchestrator.coordinator.leadership.lease import LeaseTerms
 from orchestrator.model.fleet import Fleet
-from orchestrator.runtime.virtual.databases.session import ADDRESS, VirtualSession
+from orchestrator.runtime.virtual.databases.session import ADDRESS, SessionOrigin, VirtualSession
 from orchestrator.runtime.virtual.databases.site import DatabaseSite
 
 T = TypeVar("T")
@@ -41,8 +41,7 @@ class JournalClient:
     ) -> None:
         self._site = site
         self._clock = clock
-        self._computer = computer
-        self._is_alive = is_alive
+        self._origin = SessionOrigin(site, computer, is_alive)
         self._sessions: list[VirtualSession] = []
         place = FleetDatabase(ADDRESS, fleet.fleet, fleet.journal.copies, computer, make_session=self._make_session)
         self.journal = _ConnectingJournal(place)
@@ -55,7 +54,7 @@ class JournalClient:
         self.terms = LeaseTerms(lease, run_lease, fleet.journal.lease)
 
     def _make_session(self, _: JournalAddress, application: str, settings: str, deadline_s: float) -> VirtualSession:
-        session = VirtualSession(self._site, self._computer, self._is_alive, application, settings, deadline_s)
+        session = VirtualSession(self._origin, application, settings, deadline_s)
         self._sessions.append(session)
         return session
 

@@ -6,7 +6,7 @@ Calls of a session are done at one instant, and count how long they would have t
 import re
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.journal.postgres.address import CONNECT_S, JournalAddress
@@ -22,22 +22,20 @@ _LOCAL_SETTING = "synchronous_commit TO local"
 _LEFT_OUT = re.compile(r"::text| FOR (SHARE|UPDATE)$")
 
 
-class VirtualSession(Session):
-    """A session from one computer. is_alive: whether its process is; a dead one does nothing any more."""
+class SessionOrigin(NamedTuple):
+    """The process that sessions are of. is_alive: whether it is; a dead one does nothing any more."""
 
-    def __init__(
-        self,
-        site: DatabaseSite,
-        computer: str,
-        is_alive: Callable[[], bool],
-        application: str,
-        settings: str,
-        deadline_s: float,
-    ) -> None:
+    site: DatabaseSite
+    computer: str
+    is_alive: Callable[[], bool]
+
+
+class VirtualSession(Session):
+    """A session of a process."""
+
+    def __init__(self, origin: SessionOrigin, application: str, settings: str, deadline_s: float) -> None:
         super().__init__(ADDRESS, application, settings, deadline_s)
-        self._site = site
-        self._computer = computer
-        self._is_alive = is_alive
+        self._site, self._computer, self._is_alive = origin
         self._is_one_copy = _LOCAL_SETTING in settings
         self._is_local = False
         self._spent_ns = 0
@@ -88,7 +86,7 @@ class VirtualSession(Session):
         return results
 
     def _answer(self, statement: Statement) -> list[Any]:
-        text, db = _LEFT_OUT.sub("", statement.text), self._site.journal.database
+        text = _LEFT_OUT.sub("", statement.text)
         match text.split("(")[0]:
             case str() as begin if begin.startswith("BEGIN"):
                 self._begin()

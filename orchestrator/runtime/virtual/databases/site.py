@@ -7,6 +7,7 @@ keeps a copy of the instant at which it was lost. A transaction begins and ends 
 import re
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Literal, Protocol
 
 from orchestrator.clock.base import NS_PER_MS
@@ -30,6 +31,8 @@ _SERVER_TABLES = (
     "INSERT INTO marks VALUES ('', 0)",
     "INSERT INTO confirmations VALUES (0)",
 )
+_FUNCTIONS = {"current_setting": 1, "set_config": 3, "clock_timestamp": 0, "pg_current_wal_flush_lsn": 0}
+"""Of PostgreSQL, with the number of their values."""
 
 
 class SiteSession(Protocol):
@@ -72,14 +75,20 @@ class DatabaseSite:
             db.write(statement)
         for statement in _SERVER_TABLES:
             db.write(statement)
-        functions: dict[str, tuple[int, Callable[..., object]]] = {
-            "current_setting": (1, lambda _: "*" if len(self.machines) > 1 else ""),
-            "set_config": (3, lambda _, value, __: value),
-            "clock_timestamp": (0, lambda: EPOCH_BEGIN),
-            "pg_current_wal_flush_lsn": (0, lambda: f"0/{self.position:X}"),
-        }
-        for name, (count, function) in functions.items():
-            db.connection.create_function(name, count, function)
+        for name, count in _FUNCTIONS.items():
+            db.connection.create_function(name, count, partial(self._call, name))
+
+    def _call(self, function: str, *values: str) -> str:
+        """What a function of PostgreSQL returns."""
+        match function:
+            case "current_setting":
+                return "*" if len(self.machines) > 1 else ""
+            case "pg_current_wal_flush_lsn":
+                return f"0/{self.position:X}"
+            case "set_config":
+                return values[1]
+            case _:  # clock_timestamp
+                return EPOCH_BEGIN
 
     # What sessions ask
 
