@@ -2,18 +2,21 @@
 
 from collections.abc import Callable
 
-from orchestrator.campaign.recording.recorder import BusRecorder, RecordedRequest
+from orchestrator.bus.base import BusSample
+from orchestrator.campaign.recording.recorder import BusRecorder
 from orchestrator.campaign.records import CampaignPhase
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.coordinator.journal.reads import READS
 from orchestrator.coordinator.journal.store import JournalStore
-from orchestrator.coordinator.leadership.lease import LeaderLease
+from orchestrator.coordinator.leadership.lease import HELD_SHARE, LeaderLease
+from orchestrator.model.messages import LeaderHeartbeat
 from orchestrator.runtime.virtual.databases.site import CommitMoment, DatabaseSite
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 _RENEW = LeaderLease.renew.__name__
 _TAKE = JournalStore.take_epoch.__name__
 _NO_WRITES = READS | {_RENEW, _TAKE, LeaderLease.release.__name__, LeaderLease.read_turn.__name__}
-_COMMANDS = ("home", "probe", "arm", "commit", "go", "start-at-once")
+LATENCY_NS = 100 * NS_PER_MS  # of a heartbeat, at most
 
 
 class JournalChecker:
@@ -31,15 +34,17 @@ class JournalChecker:
         """Jobs whose acceptance was answered."""
         site.on_commit = self._check_commit
 
-    def check_request(self, request: RecordedRequest) -> None:
-        """A coordinator commands only while it holds the lease."""
-        epoch = request.fields.get("epoch")
-        if request.verb not in _COMMANDS or request.answered_ns is not None or epoch not in self._renewed_ns:
-            return
-        since_ns = request.sent_ns - self._renewed_ns[epoch]
-        if since_ns > self._fleet.fleet.journal.lease:
-            text = f"{request.member} was asked to {request.verb} by the leader of epoch {epoch}"
-            self._add_violation("24", f"{text}, which has not renewed its lease for {since_ns / 1e9:.1f} s")
+    async def watch(self) -> None:
+        """Follow the heartbeats of leaders: what moves stops without them."""
+        await self._fleet.make_client("lease-watcher").bus.subscribe(self._fleet.keys.leader, self._check_heartbeat)
+
+    def _check_heartbeat(self, sample: BusSample) -> None:
+        """A coordinator commands only while it holds the lease, by its share."""
+        epoch = LeaderHeartbeat.read_message(sample.payload).epoch
+        held_ns = round(HELD_SHARE * self._fleet.fleet.journal.lease) + LATENCY_NS
+        since_ns = self._fleet.clock.now_ns() - self._renewed_ns.get(epoch, self._fleet.clock.now_ns())
+        if since_ns > held_ns:
+            self._add_violation("24", f"epoch {epoch} leads, {since_ns / NS_PER_S:.1f} s behind its last renewal")
 
     def check_phase(self, phase: CampaignPhase) -> None:
         """No step of a job was started by two leaders."""

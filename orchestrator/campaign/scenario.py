@@ -200,6 +200,7 @@ class _Scenario:
         """Prepare the fleet, and run one phase after the other."""
         await self.virtual.start()
         if self._databases:
+            await self._databases.watch()
             self.virtual.start_coordinator("standby", standby=True)
         client = self.virtual.make_client()
         await self._authority.watch()
@@ -518,8 +519,6 @@ class _Scenario:
         if request.verb in SEARCHES and request.answered_ns is not None:
             at["found"] = now_ns
         self.checker.note_request(request)
-        if self._databases:
-            self._databases.check_request(request)
         if request.verb in ("go", "start-at-once") and request.accepted:
             at.setdefault("fire", now_ns)
             at.setdefault("t0", self._t0_host_ns(request))

@@ -7,6 +7,7 @@ import pytest
 pytest.importorskip("psycopg")
 from cluster.databases import (
     LEASE_NS,
+    LONG,
     MORE_NS,
     SHORT,
     count_motions,
@@ -17,7 +18,11 @@ from cluster.databases import (
 )
 from cluster.worlds import job
 
+from orchestrator.campaign.journal_checks import JournalChecker
+from orchestrator.campaign.recording.recorder import BusRecorder
 from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.coordinator.journal.postgres.journal import PostgresJournal
+from orchestrator.coordinator.journal.postgres.transaction import Fence
 from orchestrator.model.errors import Refusal
 from orchestrator.runtime.virtual.databases.site import CommitMoment, DatabaseSite
 from orchestrator.runtime.virtual.fleet import VirtualFleet
@@ -183,3 +188,31 @@ def test_a_dead_machine_that_answers_nothing_keeps_no_standby_from_leading() -> 
         assert await wait_for_leader(fleet, "second") - begun_ns < LEASE_NS + NS_PER_S + MORE_NS + 4 * NS_PER_S
 
     run_site(main)
+
+
+def find_deposed_writes() -> list[str]:
+    """What a leader writes that was suspended in a motion, and resumes behind the take-over of the standby."""
+    found: list[str] = []
+
+    async def main(fleet: VirtualFleet, site: DatabaseSite) -> None:
+        recorder = BusRecorder(fleet.clock, lambda _: None)
+        JournalChecker(fleet, site, recorder, lambda invariant, text: found.append(f"{invariant}: {text}"))
+        await fleet.make_client().submit(LONG)
+        await fleet.wait_until(lambda states: states["gantry"].mode == "moving")
+        fleet.freeze("coordinator/first")
+        await wait_for_leader(fleet, "second")
+        fleet.resume("coordinator/first")
+        await sleep_ns(fleet.clock, 5 * NS_PER_S)
+        assert not fleet.coordinators["first"][0].alive
+
+    run_site(main)
+    return found
+
+
+def test_a_write_without_its_epoch_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert find_deposed_writes() == []
+    # Both what is asked before the writes, and what each of them holds.
+    monkeypatch.setattr(PostgresJournal, "require_latest_epoch", lambda _, __: None)
+    assert find_deposed_writes() == []
+    monkeypatch.setattr(Fence, "hold", classmethod(lambda _, __: Fence.lock()))
+    assert [text for text in find_deposed_writes() if text.startswith("24: the leader of epoch 1 wrote")]
