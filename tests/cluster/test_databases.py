@@ -1,6 +1,7 @@
 """A journal in databases on three machines: one fault at each commit of the life of some jobs; and two of them."""
 
 from collections.abc import Callable
+from contextvars import Context
 
 import pytest
 
@@ -20,7 +21,7 @@ from cluster.worlds import job
 
 from orchestrator.campaign.journal_checks import JournalChecker
 from orchestrator.campaign.recording.recorder import BusRecorder
-from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.journal.postgres.journal import PostgresJournal
 from orchestrator.coordinator.journal.postgres.transaction import Fence
 from orchestrator.model.errors import Refusal
@@ -190,15 +191,17 @@ def test_a_dead_machine_that_answers_nothing_keeps_no_standby_from_leading() -> 
     run_site(main)
 
 
-def find_deposed_writes() -> list[str]:
-    """What a leader writes that was suspended in a motion, and resumes behind the take-over of the standby."""
+def find_deposed_writes(after_ns: int = 990 * NS_PER_MS) -> list[str]:
+    """What a leader writes that was suspended on the way to its journal, and resumes behind the take-over of the
+    standby. after_ns: from the request for a job."""
     found: list[str] = []
 
     async def main(fleet: VirtualFleet, site: DatabaseSite) -> None:
         recorder = BusRecorder(fleet.clock, lambda _: None)
         JournalChecker(fleet, site, recorder, lambda invariant, text: found.append(f"{invariant}: {text}"))
-        await fleet.make_client().submit(LONG)
-        await fleet.wait_until(lambda states: states["gantry"].mode == "moving")
+        site.call_ns = 100 * NS_PER_MS
+        Context().run(fleet.clock.loop.create_task, fleet.make_client().submit(LONG))
+        await sleep_ns(fleet.clock, after_ns)
         fleet.freeze("coordinator/first")
         await wait_for_leader(fleet, "second")
         fleet.resume("coordinator/first")
