@@ -16,27 +16,34 @@ from orchestrator.runtime.virtual.fleet import VirtualFleet
 _RENEW = LeaderLease.renew.__name__
 _TAKE = JournalStore.take_epoch.__name__
 _NO_WRITES = READS | {_RENEW, _TAKE, LeaderLease.release.__name__, LeaderLease.read_turn.__name__}
+MACHINES = ("db-a", "db-b", "db-c")
 LATENCY_NS = 100 * NS_PER_MS  # of a heartbeat, at most
 
 
-class JournalChecker:
-    """Checks one fleet whose journal is in the databases of a site."""
+def give_databases(fleet: VirtualFleet) -> None:
+    """Have the journal of a fleet in databases, if it asks for two copies."""
+    if fleet.fleet.journal.copies > 1:
+        fleet.use_databases(DatabaseSite(MACHINES))
 
-    def __init__(
-        self, fleet: VirtualFleet, site: DatabaseSite, recorder: BusRecorder, add_violation: Callable[[str, str], None]
-    ) -> None:
+
+class JournalChecker:
+    """Checks one fleet, if its journal is in databases."""
+
+    def __init__(self, fleet: VirtualFleet, recorder: BusRecorder, add_violation: Callable[[str, str], None]) -> None:
         self._fleet = fleet
-        self._site = site
         self._recorder = recorder
         self._add_violation = add_violation
         self._renewed_ns: dict[int, int] = {}
         self.accepted: set[str] = set()
         """Jobs whose acceptance was answered."""
-        site.on_commit = self._check_commit
+        if fleet.site is not None:
+            fleet.site.on_commit = self._check_commit
 
-    async def watch(self) -> None:
-        """Follow the heartbeats of leaders: what moves stops without them."""
-        await self._fleet.make_client("lease-watcher").bus.subscribe(self._fleet.keys.leader, self._check_heartbeat)
+    async def start(self) -> None:
+        """Follow the heartbeats of leaders, without which what moves stops, and have a coordinator that stands by."""
+        if self._fleet.site is not None:
+            await self._fleet.make_client("lease-watcher").bus.subscribe(self._fleet.keys.leader, self._check_heartbeat)
+            self._fleet.start_coordinator("standby", standby=True)
 
     def _check_heartbeat(self, sample: BusSample) -> None:
         """A coordinator commands only while it holds the lease, by its share."""
@@ -60,13 +67,13 @@ class JournalChecker:
         if moment != "after":
             return
         epoch = self._fleet.journal_clients[computer].journal.database.epoch
-        ((last,),) = self._site.journal.database.select("SELECT epoch FROM leader")
-        facts = set(self._site.facts)
+        ((last,),) = self._fleet.journal.database.select("SELECT epoch FROM leader")
+        facts = set(self._fleet.site.facts) if self._fleet.site else set[str]()
         if _RENEW in facts and epoch == last:
             self._renewed_ns[epoch] = self._fleet.clock.now_ns()
         if _TAKE in facts:
             for job_id in sorted(self.accepted):
-                if self._site.journal.load_record(job_id) is None:
+                if self._fleet.journal.load_record(job_id) is None:
                     self._add_violation("24", f"job {job_id} was accepted, and the next leader does not know it")
         if epoch < last and facts - _NO_WRITES:
             text = f"the leader of epoch {epoch} wrote ({', '.join(sorted(facts))})"

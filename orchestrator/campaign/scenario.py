@@ -32,7 +32,7 @@ from orchestrator.campaign.jobs import (
     make_trial,
     make_witness,
 )
-from orchestrator.campaign.journal_checks import JournalChecker
+from orchestrator.campaign.journal_checks import JournalChecker, give_databases
 from orchestrator.campaign.operator import NamedCommands
 from orchestrator.campaign.paths import PathChecker
 from orchestrator.campaign.program import run_program
@@ -61,7 +61,6 @@ from orchestrator.model.names import controller_of
 from orchestrator.model.queue import JournalPolicy, QueueTerms
 from orchestrator.model.report import FINISHED_STATES, QueueEntry
 from orchestrator.model.state import ControllerState
-from orchestrator.runtime.virtual.databases.site import DatabaseSite
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 REPAIR_DELAY_NS = 2 * NS_PER_S  # from the fault to its repair: by then it is detected everywhere
@@ -71,7 +70,6 @@ READY_TIMEOUT_S = 25.0  # for a fleet to become ready after the repair
 OPERATOR_DELAY_NS = 4 * NS_PER_S  # after a restart, before the operator starts the queue
 OPERATOR_PERIOD_NS = NS_PER_S  # between two looks of the operator at the queue
 LIVENESS_NS = 60 * NS_PER_S  # for the remaining jobs to end, or a command to be named
-MACHINES = ("db-a", "db-b", "db-c")  # with a journal in databases
 POLL_NS = 200 * NS_PER_MS
 JOG_CHANCE = 0.3  # chance of a jog during the phase
 
@@ -179,15 +177,13 @@ class _Scenario:
         self._witnesses = 0
         self._programs = TaskOwner()
         self.recorder = BusRecorder(clock, self._on_request)
-        site = DatabaseSite(MACHINES) if seed_run.fleet.journal.copies > 1 else None
         self.virtual = VirtualFleet(seed_run.fleet, clock, seed_run.seed)
-        if site is not None:
-            self.virtual.use_databases(site)
+        give_databases(self.virtual)
         self.virtual.computers.update(computers)
         connect_computers(self.virtual, seed_run.seed)
         self.virtual.wrap_bus = self.recorder.wrap_bus
         self.checker = InvariantChecker(self.virtual, self.recorder, seed_run.seed)
-        self._databases = site and JournalChecker(self.virtual, site, self.recorder, self.checker.add_violation)
+        self._databases = JournalChecker(self.virtual, self.recorder, self.checker.add_violation)
         self._paths = PathChecker(self.virtual, self.checker.add_violation)
         self._authority = AuthorityChecker(self.virtual, self.checker.add_violation)
         self._injector = FaultInjector(self.virtual, clock, self._draw)
@@ -199,9 +195,7 @@ class _Scenario:
     async def run_phases(self) -> None:
         """Prepare the fleet, and run one phase after the other."""
         await self.virtual.start()
-        if self._databases:
-            await self._databases.watch()
-            self.virtual.start_coordinator("standby", standby=True)
+        await self._databases.start()
         client = self.virtual.make_client()
         await self._authority.watch()
         looking = asyncio.get_running_loop().create_task(self._poll_velocities())
@@ -292,8 +286,7 @@ class _Scenario:
             await self._attendance.__aexit__()
             self._attendance = None
         self.checker.check_phase(act)
-        if self._databases:
-            self._databases.check_phase(act)
+        self._databases.check_phase(act)
         self.checker.check_positions(await client.status(1.0))
 
     def _log_ends(self, phase: CampaignPhase) -> None:
@@ -313,8 +306,7 @@ class _Scenario:
             self._log_event(f"{order.job.name} is not accepted: {refusal.text}")
             return key
         phase.jobs[job_id] = order
-        if self._databases:
-            self._databases.accepted.add(job_id)
+        self._databases.accepted.add(job_id)
         if order.asked_steps:
             self._programs.spawn(run_program(client, self._clock, job_id, order.asked_steps))
         self._log_event(f"{order.job.name} of {', '.join(order.controllers)}")
@@ -359,7 +351,7 @@ class _Scenario:
         repair = await self._injector.inject_fault(phase.fault, phase.member)
         await self._act_as_operator(phase, step[0])
         await sleep_ns(self._clock, max(0, now_ns + REPAIR_DELAY_NS - self._clock.now_ns()))
-        await self._check_latches(cell.fault)
+        await _check_latches(self.virtual, self.checker, cell.fault)
         if cell.fault == "host-other-file":
             await self._try_other_file(phase)
         phase.repair_ns = self._clock.now_ns()
@@ -551,17 +543,16 @@ class _Scenario:
         )
         return request.fields["t0_fleet_ns"] + origin_ns
 
-    # Checks during a run
 
-    async def _check_latches(self, fault: str) -> None:
-        """Check invariant 4: every reachable adapter latches an e-stop, without a coordinator."""
-        if fault != "estop":
-            return
-        person = self.virtual.make_client("looker")
-        for name, state in (await person.status(1.0)).items():
-            if state.estop is None:
-                self.checker.add_violation("4", f"{name} has not latched the e-stop")
-        await person.close()
+async def _check_latches(virtual: VirtualFleet, checker: InvariantChecker, fault: str) -> None:
+    """Check invariant 4: every reachable adapter latches an e-stop, without a coordinator."""
+    if fault != "estop":
+        return
+    person = virtual.make_client("looker")
+    for name, state in (await person.status(1.0)).items():
+        if state.estop is None:
+            checker.add_violation("4", f"{name} has not latched the e-stop")
+    await person.close()
 
 
 def _note_arrival(arrival: "asyncio.Future[tuple[str, int]]", step: tuple[str, int]) -> None:

@@ -198,7 +198,7 @@ def find_deposed_writes(after_ns: int = 990 * NS_PER_MS) -> list[str]:
 
     async def main(fleet: VirtualFleet, site: DatabaseSite) -> None:
         recorder = BusRecorder(fleet.clock, lambda _: None)
-        JournalChecker(fleet, site, recorder, lambda invariant, text: found.append(f"{invariant}: {text}"))
+        JournalChecker(fleet, recorder, lambda invariant, text: found.append(f"{invariant}: {text}"))
         site.call_ns = 100 * NS_PER_MS
         Context().run(fleet.clock.loop.create_task, fleet.make_client().submit(LONG))
         await sleep_ns(fleet.clock, after_ns)

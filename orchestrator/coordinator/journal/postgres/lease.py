@@ -56,11 +56,11 @@ class LeaseRenewal:
         before the call, and only what returned True."""
         name, session = name_session(self._fleet, str(epoch)), self._session
         # Not by another connection: that may take as long as a leader without a renewal may go on.
-        named = [] if session.application == name else [Statement(_NAME, (name,))]
+        name_statements = [] if session.application == name else [Statement(_NAME, (name,))]
         session.application = name
         is_local = self._is_copy_missing() or self._has_lost_copy()
         local = [Statement("SET LOCAL synchronous_commit TO local")] if is_local else []
-        statements = [*named, Statement("BEGIN"), *local, Statement(_RENEW, (epoch,)), Statement("COMMIT")]
+        statements = [*name_statements, Statement("BEGIN"), *local, Statement(_RENEW, (epoch,)), Statement("COMMIT")]
         try:
             return bool(session.run_again(statements)[-2])
         except AnswerLate:

@@ -88,7 +88,7 @@ class VirtualSession(Session):
     def _answer(self, statement: Statement) -> list[Any]:
         text = _LEFT_OUT.sub("", statement.text)
         match text.split("(")[0]:
-            case str() as begin if begin.startswith("BEGIN"):
+            case str() as first_words if first_words.startswith("BEGIN"):
                 self._begin()
                 return []
             case "COMMIT":

@@ -146,8 +146,8 @@ class DatabaseSite:
 
     def find_successor(self) -> str | None:
         """The standby that can be promoted without a loss; without one, any that runs."""
-        living = [name for name in self.machines if name != self.primary and name not in self._dead]
-        return next((name for name in living if name in self.standbys), next(iter(living), None))
+        living_machines = [name for name in self.machines if name != self.primary and name not in self._dead]
+        return next((name for name in living_machines if name in self.standbys), next(iter(living_machines), None))
 
     def promote(self, machine: str) -> None:
         """Make a standby the primary; the site keeps the former one from taking writes until it is revived."""
