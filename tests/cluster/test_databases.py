@@ -212,10 +212,18 @@ def find_deposed_writes(after_ns: int = 990 * NS_PER_MS) -> list[str]:
     return found
 
 
+def require_nothing(_: PostgresJournal, __: int) -> None:
+    return None
+
+
+def hold_any_epoch(_: int) -> Fence:
+    return Fence.lock()
+
+
 def test_a_write_without_its_epoch_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     assert find_deposed_writes() == []
     # Both what is asked before the writes, and what each of them holds.
-    monkeypatch.setattr(PostgresJournal, "require_latest_epoch", lambda _, __: None)
+    monkeypatch.setattr(PostgresJournal, "require_latest_epoch", require_nothing)
     assert find_deposed_writes() == []
-    monkeypatch.setattr(Fence, "hold", classmethod(lambda _, __: Fence.lock()))
+    monkeypatch.setattr(Fence, "hold", hold_any_epoch)
     assert [text for text in find_deposed_writes() if text.startswith("24: the leader of epoch 1 wrote")]

@@ -370,7 +370,7 @@ def misses_lost_hosts(patch: Patch) -> None:
 
 def leads_beyond_its_lease(patch: Patch) -> None:
     """A leader goes on as long as nothing contradicts it."""
-    patch.setattr(LeaseKeeper, "holds", property(lambda _: True))
+    patch.setattr(LeaseKeeper, "holds", True)
 
 
 class Mutation(NamedTuple):

@@ -43,10 +43,10 @@ class JournalClient:
         self._clock = clock
         self._origin = SessionOrigin(site, computer, is_alive)
         self._sessions: list[VirtualSession] = []
-        place = FleetDatabase(ADDRESS, fleet.fleet, fleet.journal.copies, computer, make_session=self._make_session)
-        self.journal = _ConnectingJournal(place)
-        deadline_s = min(place.deadline_s, fleet.journal.lease / 3 / NS_PER_S)
-        lease = LeaseRenewal(place._replace(deadline_s=deadline_s), lambda: self.journal.database.is_copy_missing)
+        database = FleetDatabase(ADDRESS, fleet.fleet, fleet.journal.copies, computer, make_session=self._make_session)
+        self.journal = _ConnectingJournal(database)
+        deadline_s = min(database.deadline_s, fleet.journal.lease / 3 / NS_PER_S)
+        lease = LeaseRenewal(database._replace(deadline_s=deadline_s), lambda: self.journal.database.is_copy_missing)
         journal_session, lease_session = self._sessions
         self.execute = self._make_executor(journal_session)
         run_lease = self._make_executor(lease_session)

@@ -113,7 +113,9 @@ class DatabaseSite:
 
     def end_sessions(self, pattern: str, own: SiteSession) -> int:
         """End the sessions whose application name matches; return how many."""
-        ended_sessions = [each for each in self.sessions if each is not own and re.match(pattern, each.application)]
+        ended_sessions = [
+            session for session in self.sessions if session is not own and re.match(pattern, session.application)
+        ]
         for session in ended_sessions:
             session.lose_connection()
         return len(ended_sessions)
