@@ -8,7 +8,7 @@ from typing import Literal
 
 from orchestrator.bus.base import Priority
 from orchestrator.campaign.fleets import makes_with
-from orchestrator.campaign.injection import disk_faults
+from orchestrator.campaign.injection import disk_faults, journal_faults
 from orchestrator.campaign.injection.bus_faults import BusFaults
 from orchestrator.campaign.injection.frame_faults import FrameFaults
 from orchestrator.campaign.injection.repairs import Repair, do_nothing
@@ -42,6 +42,7 @@ class FaultKind:
     attended: the member's job belongs to a command that a person waits for.
     makes: makes that it can affect; none named: all.
     own_seeds: only in seeds that name it, so that those without are as they were.
+    of_databases: only in fleets whose journal is in databases.
     """
 
     name: str
@@ -56,6 +57,7 @@ class FaultKind:
     attended: bool = False
     makes: tuple[str, ...] = ()
     own_seeds: bool = False
+    of_databases: bool = False
 
 
 FAULTS: dict[str, FaultKind] = {
@@ -116,6 +118,12 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("frames-reordered", "host", must_stop=False, harmless=True, own_seeds=True),
         FaultKind("key-frames-lost", "host", must_stop=False, harmless=True, own_seeds=True),
         FaultKind("states-lost", "fleet", own_seeds=True),
+        # The journal in databases on three machines, with a standby coordinator.
+        *(
+            FaultKind(name, "fleet", must_stop=False, jog_may_continue=True, own_seeds=True, of_databases=True)
+            for name in ("journal-slow", "journal-lost", "primary-died")
+        ),
+        FaultKind("leader-machine-died", "fleet", jog_may_continue=True, own_seeds=True, of_databases=True),
         FaultKind("load-late", "line", must_stop=False, harmless=True, makes=(HALL_MAKE,), own_seeds=True),
     )
 }
@@ -144,6 +152,10 @@ class FaultInjector:
         self._buses = BusFaults(fleet, clock, draw)
         self._frames = FrameFaults(fleet, clock, draw)
 
+    def find_leader(self) -> str:
+        """The coordinator that leads, or should lead now: with databases one of those that stand by."""
+        return self.leader_name if self._fleet.site is None else journal_faults.find_leader(self._fleet, "first")
+
     def find_affected(self, fault: FaultKind, member: str) -> list[str]:
         """Return the controllers that `fault` of `member` affects: all of them if one is the controller with the
         permit's input."""
@@ -164,6 +176,8 @@ class FaultInjector:
 
     async def inject_fault(self, fault: FaultKind, member: str) -> Repair:
         """Inject the fault now; return its repair, for `repair_fault`."""
+        if fault.of_databases:
+            return journal_faults.inject_fault(self._fleet, fault.name, self.find_leader(), self._draw)
         blow = {"fleet": self._inject_fleet_fault, "host": self._inject_host_fault, "line": self._links.inject_fault}
         repair = blow.get(fault.reach, self._inject_controller_fault)(fault.name, member)
         if fault.name == "states-lost":

@@ -32,6 +32,7 @@ from orchestrator.campaign.jobs import (
     make_trial,
     make_witness,
 )
+from orchestrator.campaign.journal_checks import JournalChecker, give_databases
 from orchestrator.campaign.operator import NamedCommands
 from orchestrator.campaign.paths import PathChecker
 from orchestrator.campaign.program import run_program
@@ -57,7 +58,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, group_by_controller
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import controller_of
-from orchestrator.model.queue import QueueTerms
+from orchestrator.model.queue import JournalPolicy, QueueTerms
 from orchestrator.model.report import FINISHED_STATES, QueueEntry
 from orchestrator.model.state import ControllerState
 from orchestrator.runtime.virtual.fleet import VirtualFleet
@@ -134,7 +135,10 @@ def run_scenario(seed: int, cells: Sequence[FaultCell], *, apart: bool = False) 
     makes = [cell.make for cell in cells]
     if any(cell.fault == "permit-lost" for cell in cells):
         makes.append(PERMIT_MAKE)
-    seed_run = SeedRun(seed, tuple(cells), make_stage_fleet(seed, makes, {cell.stage for cell in cells}))
+    fleet = make_stage_fleet(seed, makes, {cell.stage for cell in cells})
+    if any(FAULTS[cell.fault].of_databases for cell in cells):
+        fleet = fleet.model_copy(update={"journal": JournalPolicy(copies=2)})
+    seed_run = SeedRun(seed, tuple(cells), fleet)
 
     async def run_in_clock(clock: VirtualClock) -> None:
         scenario = _Scenario(seed_run, clock, make_computers(seed_run.fleet, clock, seed) if apart else {})
@@ -174,10 +178,12 @@ class _Scenario:
         self._programs = TaskOwner()
         self.recorder = BusRecorder(clock, self._on_request)
         self.virtual = VirtualFleet(seed_run.fleet, clock, seed_run.seed)
+        give_databases(self.virtual)
         self.virtual.computers.update(computers)
         connect_computers(self.virtual, seed_run.seed)
         self.virtual.wrap_bus = self.recorder.wrap_bus
         self.checker = InvariantChecker(self.virtual, self.recorder, seed_run.seed)
+        self._databases = JournalChecker(self.virtual, self.recorder, self.checker.add_violation)
         self._paths = PathChecker(self.virtual, self.checker.add_violation)
         self._authority = AuthorityChecker(self.virtual, self.checker.add_violation)
         self._injector = FaultInjector(self.virtual, clock, self._draw)
@@ -189,6 +195,7 @@ class _Scenario:
     async def run_phases(self) -> None:
         """Prepare the fleet, and run one phase after the other."""
         await self.virtual.start()
+        await self._databases.start()
         client = self.virtual.make_client()
         await self._authority.watch()
         looking = asyncio.get_running_loop().create_task(self._poll_velocities())
@@ -279,6 +286,7 @@ class _Scenario:
             await self._attendance.__aexit__()
             self._attendance = None
         self.checker.check_phase(act)
+        self._databases.check_phase(act)
         self.checker.check_positions(await client.status(1.0))
 
     def _log_ends(self, phase: CampaignPhase) -> None:
@@ -298,6 +306,7 @@ class _Scenario:
             self._log_event(f"{order.job.name} is not accepted: {refusal.text}")
             return key
         phase.jobs[job_id] = order
+        self._databases.accepted.add(job_id)
         if order.asked_steps:
             self._programs.spawn(run_program(client, self._clock, job_id, order.asked_steps))
         self._log_event(f"{order.job.name} of {', '.join(order.controllers)}")
@@ -342,7 +351,7 @@ class _Scenario:
         repair = await self._injector.inject_fault(phase.fault, phase.member)
         await self._act_as_operator(phase, step[0])
         await sleep_ns(self._clock, max(0, now_ns + REPAIR_DELAY_NS - self._clock.now_ns()))
-        await self._check_latches(cell.fault)
+        await _check_latches(self.virtual, self.checker, cell.fault)
         if cell.fault == "host-other-file":
             await self._try_other_file(phase)
         phase.repair_ns = self._clock.now_ns()
@@ -438,7 +447,7 @@ class _Scenario:
         states: dict[str, ControllerState] = {}
         for _ in range(round(READY_TIMEOUT_S / 0.5)):
             states = await client.status(1.0)
-            epoch = self.virtual.coordinators[self._injector.leader_name][1].leadership.epoch
+            epoch = self.virtual.coordinators[self._injector.find_leader()][1].leadership.epoch
             troubled_controllers = [
                 name
                 for name in fleet.controllers
@@ -534,17 +543,16 @@ class _Scenario:
         )
         return request.fields["t0_fleet_ns"] + origin_ns
 
-    # Checks during a run
 
-    async def _check_latches(self, fault: str) -> None:
-        """Check invariant 4: every reachable adapter latches an e-stop, without a coordinator."""
-        if fault != "estop":
-            return
-        person = self.virtual.make_client("looker")
-        for name, state in (await person.status(1.0)).items():
-            if state.estop is None:
-                self.checker.add_violation("4", f"{name} has not latched the e-stop")
-        await person.close()
+async def _check_latches(virtual: VirtualFleet, checker: InvariantChecker, fault: str) -> None:
+    """Check invariant 4: every reachable adapter latches an e-stop, without a coordinator."""
+    if fault != "estop":
+        return
+    person = virtual.make_client("looker")
+    for name, state in (await person.status(1.0)).items():
+        if state.estop is None:
+            checker.add_violation("4", f"{name} has not latched the e-stop")
+    await person.close()
 
 
 def _note_arrival(arrival: "asyncio.Future[tuple[str, int]]", step: tuple[str, int]) -> None:

@@ -81,6 +81,10 @@ class FaultSchedule:
         make = find_controller(fleet, controller).adapter
         if kind.makes and make not in kind.makes:
             raise BadTest(f"{kind.name} is a fault of {' and '.join(kind.makes)}; {controller} is a {make}")
+        if kind.of_databases:
+            raise BadTest(
+                f"{kind.name}: the journal of this fleet is a file; see `tutti sim campaign --fault {kind.name}`"
+            )
         if kind.name == "permit-lost" and not fleet.permits:
             raise BadTest("permit-lost: the fleet has no permit that could be lost; add `permits` to its file")
         return controller

@@ -22,7 +22,7 @@ from orchestrator.campaign.scenario import SINGLE_MEMBER_STAGES, FaultCell, run_
 from orchestrator.campaign.stages.hall import HALL_MAKE, HALL_STAGES
 from orchestrator.cli.sim.campaign import STAGE_NAMES
 
-IN_HALLS = [
+IN_HALLS: list[tuple[Stage, str]] = [
     *(("fire", "host-killed"), ("propose", "load-late"), ("motion", "key-frames-lost")),
     *(("motion", "frame-lost"), ("commit", "frames-repeated"), ("chain", "frames-reordered")),
     *(("home", "frame-lost"), ("go", "coordinator-killed"), ("arm", "states-lost")),
@@ -32,9 +32,15 @@ IN_HALLS = [
 DIRECTED = [
     FaultCell(STAGES[number % len(STAGES)], name, (fault.makes or MAKES)[number % len(fault.makes or MAKES)])
     for number, (name, fault) in enumerate(FAULTS.items())
-    if name not in {fault for _, fault in IN_HALLS} or name in ROUND_FAULTS
+    if (name not in {fault for _, fault in IN_HALLS} or name in ROUND_FAULTS) and not fault.of_databases
 ]
 """Each other fault once, with stages and makes in turn."""
+
+OF_DATABASES: list[tuple[Stage, str]] = [
+    *(("commit", "leader-machine-died"), ("motion", "primary-died")),
+    *(("motion", "journal-slow"), ("go", "journal-lost"), ("chain", "leader-machine-died")),
+]
+"""Faults of a journal in databases on three machines; the first two in the suite, nightly all of them."""
 
 CHUNK = 5
 SEEDS = -(-PAIRS // (PHASES * CHUNK)) * CHUNK
@@ -67,6 +73,26 @@ def test_no_directed_seed_of_a_hall_violates_an_invariant(first: int) -> None:
 def test_no_seed_of_a_hall_violates_an_invariant(first: int) -> None:
     choice = SeedChoice(hall=True)
     for seed in range(first, first + 10):
+        story = run_scenario(seed, cells_of_seed(7 * seed, choice))  # stages and faults in turn
+        assert not story.violations, story.summarize()
+
+
+@pytest.mark.parametrize(
+    "number", [0, 1, *(pytest.param(at, marks=pytest.mark.nightly) for at in range(2, len(OF_DATABASES)))]
+)
+def test_no_fault_of_a_journal_in_databases_violates_an_invariant(number: int) -> None:
+    pytest.importorskip("psycopg")
+    stage, fault = OF_DATABASES[number]
+    story = run_scenario(number, [FaultCell(stage, fault, MAKES[number])])
+    assert not story.violations and story.hit, story.summarize()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("first", range(0, 1000, 20))
+def test_no_seed_of_a_journal_in_databases_violates_an_invariant(first: int) -> None:
+    pytest.importorskip("psycopg")
+    choice = SeedChoice(faults=tuple(dict.fromkeys(fault for _, fault in OF_DATABASES)))
+    for seed in range(first, first + 20):
         story = run_scenario(seed, cells_of_seed(7 * seed, choice))  # stages and faults in turn
         assert not story.violations, story.summarize()
 
@@ -299,7 +325,8 @@ def test_a_router_that_hangs_violates_no_invariant_at_any_stage(seed: int, stage
 
 def test_directed_seeds_reach_each_stage_fault_and_make() -> None:
     assert {cell.stage for cell in DIRECTED} == set(STAGES)
-    assert {cell.fault for cell in DIRECTED} | {fault for _, fault in IN_HALLS} == set(FAULTS)
+    directed_faults = {cell.fault for cell in DIRECTED} | {fault for _, fault in IN_HALLS + OF_DATABASES}
+    assert directed_faults == set(FAULTS)
     assert {stage for stage, _ in IN_HALLS} == set(HALL_STAGES)
     assert {cell.make for cell in DIRECTED} == set(MAKES)
 

@@ -9,6 +9,7 @@ import click
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import console, json_option, print_json, processes_option
 from orchestrator.cli.base.errors import exit_with_error
+from orchestrator.cli.base.extras import require_extra
 
 if TYPE_CHECKING:
     from orchestrator.campaign.recording.recorder import Stage
@@ -117,6 +118,8 @@ def _require_seeds(choice: "SeedChoice") -> None:
         if fault not in FAULTS:
             remedy = f"{suggest_name(fault, FAULTS)}choose one of: {', '.join(FAULTS)}"
             exit_with_error(f"there is no fault {fault[:80]!r}", BAD_INPUT, remedy)
+    if any(FAULTS[fault].of_databases for fault in choice.faults):
+        require_extra("postgres", "psycopg")
     if not choice.list_cells():
         world = "a hall" if choice.hall else "fleets without `--hall`"
         names = ", ".join([*choice.faults, *choice.stages])

@@ -94,6 +94,8 @@ class Leadership:
                 highest_epoch = max(highest_epoch, ControllerState.read_message(payload).epoch)
             except ValidationError:
                 continue
+        if self._lease is not None:
+            await self._lease.connect()
         self.epoch = await self._execute(self._journal.take_epoch, highest_epoch)
         if self._lease is not None:
             await self._lease.start()

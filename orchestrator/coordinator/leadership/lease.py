@@ -73,6 +73,11 @@ class LeaseKeeper:
         """Wait until no leader holds the lease."""
         await LeaseWatch(self._terms, self._clock).wait_for_end()
 
+    async def connect(self) -> None:
+        """Reach the lease before it is taken: to connect may take as long as a leader without a renewal may go on.
+        Raises `JournalError`."""
+        await self._terms.run(self._terms.lease.read_turn)
+
     async def start(self) -> None:
         """Take the lease. Raises `JournalError`."""
         await self._renew()

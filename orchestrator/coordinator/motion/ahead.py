@@ -7,6 +7,7 @@ from typing import Literal
 
 from orchestrator.clock.base import sleep_ns
 from orchestrator.clock.owner import TaskOwner
+from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.motion.chain import BetweenSteps
 from orchestrator.coordinator.motion.immediate_start import ImmediateStart
 from orchestrator.coordinator.motion.planning import plan_following
@@ -98,10 +99,11 @@ class StepAhead:
             self.prevent_release(reason)
             if isinstance(motion.start, ImmediateStart):
                 await motion.start.disarm()  # the member does not start the step any more: its answer comes at once
-            with suppress(Refusal):
+            with suppress(Refusal, JournalError):
                 await asyncio.shield(self._task)
         self._task.cancel()
-        with suppress(asyncio.CancelledError, Refusal):
+        # A journal that cannot be used does not keep the members from being unloaded.
+        with suppress(asyncio.CancelledError, Refusal, JournalError):
             await self._task
         if motion is None or self._stage == "refused":
             return

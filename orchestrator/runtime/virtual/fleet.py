@@ -17,8 +17,7 @@ from adapters.host.makes import stops_by_line
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
-from orchestrator.bus.latch import FileLatchStore
-from orchestrator.bus.limits import MAX_COORDINATOR_MESSAGE_BYTES, MAX_HOST_MESSAGE_BYTES
+from orchestrator.bus.limits import MAX_HOST_MESSAGE_BYTES
 from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
 from orchestrator.bus.memory.medium import BusLatency
 from orchestrator.client.api import Tutti
@@ -26,10 +25,9 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.crystal import ComputerClock
 from orchestrator.clock.virtual import VirtualClock, VirtualProcess
 from orchestrator.coordinator.coordinator import Coordinator
+from orchestrator.coordinator.journal.sqlite.database import MEMORY
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
-from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment, RunCommand, run_no_command
-from orchestrator.coordinator.leadership.leadership import AnotherLeader
-from orchestrator.coordinator.leadership.standby import stand_by
+from orchestrator.coordinator.leadership.environment import RunCommand, run_no_command
 from orchestrator.link.base import LinkRefused, OpenLink
 from orchestrator.link.direct import DirectWire
 from orchestrator.link.memory import MemoryWire, WireLink, WireModel, can_wire, serial_wire
@@ -45,6 +43,7 @@ from orchestrator.model.links import InProcessLink
 from orchestrator.model.state import CertificateEnd, ControllerState
 from orchestrator.runtime.live.bridge import network_wire
 from orchestrator.runtime.simulated import find_timing, make_simulator_options
+from orchestrator.runtime.virtual.coordinators import VirtualCoordinators
 from orchestrator.runtime.virtual.disk import VirtualDisk
 from orchestrator.runtime.virtual.journal import JournalCalls
 from sim.core.controller import DeviceSpec, FirmwareTiming, LineEndpoint, SimulatedController, build_line
@@ -68,7 +67,7 @@ class _RunningHost:
     links: list[WireLink] = field(default_factory=list[WireLink])
 
 
-class VirtualFleet:
+class VirtualFleet(VirtualCoordinators):
     """A simulation of the whole `fleet`; all randomness comes from `seed`. Create it outside every process.
 
     wired: the real wiring, where it differs from the fleet file.
@@ -93,7 +92,8 @@ class VirtualFleet:
         self.net = MemoryNet(clock, seed=seed, latency=BUS_LATENCY)
         self.keys = FleetKeys(fleet.fleet)
         self.lines: list[str] = []
-        self.journal = SqliteJournal(":memory:")
+        self.site = None
+        self.journal = SqliteJournal(MEMORY)
         self.controllers: dict[str, SimulatedController] = {}
         self.wires: dict[str, MemoryWire] = {}
         self.crystals: dict[str, Oscillator] = {}
@@ -101,6 +101,7 @@ class VirtualFleet:
         self.hosts: dict[str, _RunningHost] = {}
         self.adapter_hosts: dict[str, AdapterHost] = {}
         self.coordinators: dict[str, tuple[VirtualProcess, Coordinator]] = {}
+        self.journal_clients = {}
         self.coordinator_disk = VirtualDisk(clock)
         self.journal_calls = JournalCalls(self.coordinator_disk)
         self.host_disks = {config.host: VirtualDisk(clock) for config in fleet.controllers.values()}
@@ -147,7 +148,7 @@ class VirtualFleet:
 
     def make_client(self, name: str = "client") -> Tutti:
         """Return a client of the fleet, with a bus session of its own."""
-        return Tutti(self.net.join_process(self._make_name(name)), self.fleet.fleet, name, self.draw_id)
+        return Tutti(self.net.join_process(self.make_name(name)), self.fleet.fleet, name, self.draw_id)
 
     def draw_id(self) -> str:
         return f"{self._draw.getrandbits(128):032x}"
@@ -213,7 +214,7 @@ class VirtualFleet:
 
     def start_host(self, name: str) -> None:
         """Start (or restart) the adapter host `name`; with a guardian, it is supervised from now on."""
-        label = self._make_name(f"host-{name}")
+        label = self.make_name(f"host-{name}")
         process = VirtualProcess(self.clock.loop, label)
         host = self.hosts[name] = _RunningHost(name, process)
         computer = name if name in self.computers else ""
@@ -283,50 +284,7 @@ class VirtualFleet:
         await sleep_ns(self.clock, 50 * NS_PER_MS)
         await link.close()
 
-    # Coordinators
-
-    def start_coordinator(self, name: str, *, take_over: bool = False, standby: bool = False) -> VirtualProcess:
-        """Start a coordinator on the fleet's journal; an error at its start is appended to `lines`.
-
-        standby: it leads as soon as no other coordinator does, and ends the previous one."""
-        label = self._make_name(f"coordinator-{name}")
-        process = VirtualProcess(self.clock.loop, label)
-        bus = self.net.join_process(label, MAX_COORDINATOR_MESSAGE_BYTES)
-        coordinator = process.run_inside(lambda: Coordinator(self.fleet, self._make_environment(bus)))
-        self.coordinators[name] = (process, coordinator)
-        process.add_death_callback(lambda: self.net.kill_process(label))
-
-        async def run_coordinator() -> None:
-            try:
-                if standby:
-                    await stand_by(bus, self.keys, self.clock, name)
-                    for other_name, (silent, _) in self.coordinators.items():
-                        if other_name != name and silent.alive:
-                            silent.kill()
-                await coordinator.start(take_over=take_over, vacant=standby)
-            except AnotherLeader as error:
-                self.lines.append(str(error))
-
-        process.start_task(run_coordinator())
-        return process
-
-    def _make_environment(self, bus: MemoryBus) -> CoordinatorEnvironment:
-        return CoordinatorEnvironment(
-            bus=self.wrap_bus(bus),
-            keys=self.keys,
-            clock=self.computers.get("", self.clock),
-            journal=self.journal,
-            execute=self.journal_calls.make_executor(),
-            new_id=self.draw_id,
-            sink=self.lines.append,
-            save_fleet=self._save_fleet,
-            latches=FileLatchStore(Path("estop.json"), self.coordinator_disk.access_files()),
-            run_command=lambda words, text, variables, timeout_ns: self.run_command(words, text, variables, timeout_ns),
-            find_free=self.coordinator_disk.find_free,
-            certificate=self.certificates.get(""),
-        )
-
-    def _save_fleet(self, fleet: Fleet) -> None:
+    def save_fleet(self, fleet: Fleet) -> None:
         """Set the fleet file for hosts and coordinators that start from now on."""
         self.fleet = fleet
 
@@ -358,7 +316,7 @@ class VirtualFleet:
         """Like SIGKILL."""
         self.find_process(name).kill()
 
-    def _make_name(self, name: str) -> str:
+    def make_name(self, name: str) -> str:
         self._starts += 1
         return f"{name}-{self._starts}"
 

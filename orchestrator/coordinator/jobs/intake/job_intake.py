@@ -14,7 +14,7 @@ from orchestrator.coordinator.jobs.queue.times import MISSED_AFTER
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.jobs.start_places import StartPlaces
 from orchestrator.coordinator.journal.facts import QueueEntryOptions, RetryOrigin
-from orchestrator.coordinator.journal.records import DamagedRecord, JobRecord
+from orchestrator.coordinator.journal.records import DamagedRecord, JobRecord, UnknownResult
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
@@ -38,6 +38,8 @@ class JobIntake:
         self.points = PointIntake(services)
         self.live = LiveIntake(services, scheduler.register)
         self._keys = ClientKeys(services)
+        self._outside: set[str] = set()
+        """Jobs that may be in the journal, and are not in the queue: the journal did not answer after that."""
 
     async def submit_job(self, request: SubmitJob) -> JobSubmitted:
         """Accept a job: it is in the journal when this returns. Raises `Refusal`."""
@@ -115,24 +117,33 @@ class JobIntake:
     async def _accept_job(self, request: SubmitJob | RetryJob, job: Job, options: QueueEntryOptions) -> JobSubmitted:
         services = self._services
         digest = await services.execute(digest_request, request)
-        job_id, fresh = await services.execute(
-            services.journal.accept_job,
-            self._new_id()[:8],
-            request.client_key,
-            job,
-            services.clock.utc(),
-            options._replace(key_owner=find_owner(request.actor), digest=digest),
-        )
-        if not fresh:  # another request came with the key at the same time
-            await self._keys.find_job(request)
-        row = await services.execute(services.journal.load_record, job_id)
-        assert row is not None
+        new_id = self._new_id()[:8]
+        try:
+            job_id, fresh = await services.execute(
+                services.journal.accept_job,
+                new_id,
+                request.client_key,
+                job,
+                services.clock.utc(),
+                options._replace(key_owner=find_owner(request.actor), digest=digest),
+            )
+        except UnknownResult:
+            self._outside.add(new_id)
+            raise
         if fresh:
-            services.log.info(f"accepted {job.name!r} from {job.actor}", job=job_id)
-            await self._scheduler.enter_job(row, job)
+            self._outside.add(job_id)
+        else:  # another request came with the key at the same time
+            await self._keys.find_job(request)
+        return await self._describe_job(job_id, job)
+
+    async def _enter_job(self, row: JobRecord, job: Job) -> JobSubmitted:
+        """Put a job that is in the journal into the queue."""
+        self._outside.remove(row.id)
+        self._services.log.info(f"accepted {job.name!r} from {job.actor}", job=row.id)
+        await self._scheduler.enter_job(row, job)
         entry = self._scheduler.publisher.make_entry(row)
-        cause = self._scheduler.starts.describe_cause(job_id) if fresh else ""
-        return JobSubmitted(job_id=job_id, entry=entry.model_copy(update={"reason": cause or entry.reason}))
+        cause = self._scheduler.starts.describe_cause(row.id)
+        return JobSubmitted(job_id=row.id, entry=entry.model_copy(update={"reason": cause or entry.reason}))
 
     async def _keep_proposal(self, record: JobRecord, terms: QueueTerms) -> QueueTerms:
         """The terms of a re-run: of a job that was proposed and whose plan was never approved it is one again."""
@@ -146,10 +157,15 @@ class JobIntake:
         is_approved = approval is not None and not approval.void
         return terms if is_approved else terms.model_copy(update={"proposed": True})
 
-    async def _describe_job(self, job_id: str) -> JobSubmitted:
-        """The answer to a request that is repeated: the job of the first one, as it is now."""
+    async def _describe_job(self, job_id: str, job: Job | None = None) -> JobSubmitted:
+        """The answer to a request, also to one that is repeated: the job of the first one, as it is now. One that is in
+        the journal and not in the queue comes into it. job: if it is known."""
         services = self._services
         row = await services.execute(services.journal.load_record, job_id)
+        if row is not None and job_id in self._outside:
+            job = await services.load_job(job_id) if job is None else job
+            if job is not None and job_id in self._outside:
+                return await self._enter_job(row, job)
         return JobSubmitted(job_id=job_id, entry=None if row is None else self._scheduler.publisher.make_entry(row))
 
     def _require_free_way(self, request: SubmitJob) -> None:

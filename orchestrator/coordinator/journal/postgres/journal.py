@@ -1,5 +1,6 @@
 """The journal in PostgreSQL: one schema for each fleet, written by the leader of the latest epoch alone."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from orchestrator.coordinator.journal.facts import KeyedJob
@@ -33,7 +34,8 @@ _END_LEADERS = (
 class FleetDatabase(NamedTuple):
     """The journal of a fleet in a database. fleet: its name. copies: 1 or 2, the machines that a promise needs.
     coordinator: what names this one in the database. deadline_s: of the statements that are sent together. seen_line:
-    the newest line of history that its sessions have seen; None: each knows its own alone."""
+    the newest line of history that its sessions have seen; None: each knows its own alone. make_session: makes a
+    session of an address, a name of it, settings and a deadline."""
 
     address: JournalAddress
     fleet: str
@@ -41,6 +43,7 @@ class FleetDatabase(NamedTuple):
     coordinator: str = ""
     deadline_s: float = DEADLINE_S
     seen_line: SeenLine | None = None
+    make_session: Callable[[JournalAddress, str, str, float], Session] = Session
 
 
 class PostgresJournal(SqlJournal):
@@ -120,7 +123,10 @@ def open_session(place: FleetDatabase, role: str) -> Session:
         f" SET lock_timeout TO 0; SET synchronous_commit TO {'on' if place.copies > 1 else 'local'}"
     )
     name = name_session(place.fleet, role)
-    return Session(place.address, name, settings, place.deadline_s, place.seen_line)
+    session = place.make_session(place.address, name, settings, place.deadline_s)
+    if place.seen_line is not None:
+        session.seen_line = place.seen_line
+    return session
 
 
 def require_newest_line(place: FleetDatabase, session: Session) -> None:

@@ -14,6 +14,7 @@ from orchestrator.coordinator.journal.postgres.journal import FleetDatabase, ope
 from orchestrator.coordinator.journal.postgres.names import STANDBY, name_session
 from orchestrator.coordinator.journal.postgres.session import Statement
 
+_NAME = "SELECT set_config('application_name', ?, false)"
 _RENEW = (
     "UPDATE lease SET renewals = renewals + 1, renewed = clock_timestamp()"
     " FROM leader WHERE leader.epoch = ? RETURNING renewals"
@@ -52,12 +53,15 @@ class LeaseRenewal:
     def renew(self, epoch: int) -> bool:
         """Renew it; False: that epoch is over. Raises `JournalError`, also where no answer came in time: count from
         before the call, and only what returned True."""
-        self._session.rename(name_session(self._fleet, str(epoch)))
+        name, session = name_session(self._fleet, str(epoch)), self._session
+        # Not by another connection: that may take as long as a leader without a renewal may go on.
+        name_statements = [] if session.application == name else [Statement(_NAME, (name,))]
+        session.application = name
         is_local = self._is_copy_missing() or self._has_waited_in_vain()
         local = [Statement("SET LOCAL synchronous_commit TO local")] if is_local else []
-        statements = [Statement("BEGIN"), *local, Statement(_RENEW, (epoch,)), Statement("COMMIT")]
+        statements = [*name_statements, Statement("BEGIN"), *local, Statement(_RENEW, (epoch,)), Statement("COMMIT")]
         try:
-            is_renewed = bool(self._session.run_again(statements)[-2])
+            is_renewed = bool(session.run_again(statements)[-2])
         except AnswerLate:
             self._is_late = True
             raise

@@ -57,7 +57,7 @@ class Session:
     """A session that connects again after its connection was lost. For one thread at a time.
 
     name: what messages name the database by. settings: of each connection, as statements. application: names the
-    session on the server; changed by what takes an epoch."""
+    session on the server; changed, there as well, by what takes an epoch or renews its lease."""
 
     def __init__(
         self,
@@ -65,7 +65,6 @@ class Session:
         application: str,
         settings: str,
         deadline_s: float = DEADLINE_S,
-        seen_line: SeenLine | None = None,
     ) -> None:
         self.name = address.text
         self.application = application
@@ -75,7 +74,8 @@ class Session:
         self._connection: _Connection | None = None
         self._backend: tuple[int, str] | None = None
         """Process and begin of the session on the server, also of one whose connection was lost."""
-        self._seen_line = seen_line or SeenLine()
+        self.seen_line = SeenLine()
+        """The newest line of history that it has been connected to; several sessions may share it."""
         self.line: ServerLine | None = None
         """Of the server that was connected to last."""
         self._is_closed = False
@@ -84,12 +84,6 @@ class Session:
     def connection(self) -> object | None:
         """What is connected at present; another object after it was lost."""
         return self._connection
-
-    def rename(self, application: str) -> None:
-        """Name it otherwise on the server; a connection with another name is closed."""
-        if application != self.application:
-            self.application = application
-            self._drop()
 
     def run(self, statements: Sequence[Statement]) -> list[list[Any]]:
         """Send statements together; return the rows of each.
@@ -162,7 +156,7 @@ class Session:
             ((pid, begin, system, timeline),) = self._run(connection, [Statement(_BACKEND)])[-1]
             self._backend = (pid, begin)
             line = ServerLine(f"{connection.info.host}:{connection.info.port}", system, int(timeline, 16))
-            self._seen_line.take_line(line)
+            self.seen_line.take_line(line)
             self.line = line
         except JournalError:
             self._drop()
