@@ -199,9 +199,11 @@ class Coordinator:
         await self.leadership.close()
         self._owner.cancel_all()
 
-    def abandon(self) -> None:
+    async def abandon(self) -> None:
         """End all tasks of a coordinator that has lost the leadership: it may change nothing any more."""
-        self._owner.cancel_all()
+        with suppress(TimeoutError):
+            async with asyncio.timeout(LEAVE_S):
+                await self._owner.end_all()
 
     async def _take_adopted(self, controller: str) -> None:
         self.scheduler.register.wake_up()

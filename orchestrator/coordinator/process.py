@@ -191,7 +191,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, life: ProcessLife) ->
         ):
             await wait_for_first(*(event.wait() for event in events))
         if coordinator.leadership_lost.is_set():
-            coordinator.abandon()
+            await coordinator.abandon()
             return LEADERSHIP_LOST
         if coordinator.broken.is_set():
             await _leave(coordinator, "a defect of the coordinator, which is restarted")

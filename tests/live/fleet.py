@@ -9,18 +9,21 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Coroutine, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 from children import LIMIT_S, wait_until
 from forks import run_forked
 
+from orchestrator.bus.keys import STANDBY
 from orchestrator.client import Tutti
 from orchestrator.clock.live import raw_ns
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport
 from orchestrator.model.state import ControllerState
 
+LOOK_S = 0.5
 T = TypeVar("T")
 Entry = dict[str, Any]
 Steps = list[dict[str, Any]]
@@ -77,6 +80,21 @@ class ReachedFleet:
         path = self.state / "log" / f"{name}.jsonl"
         whole = path.read_text().rpartition("\n")[0] if path.exists() else ""
         return [json.loads(line) for line in whole.splitlines()]
+
+    def has_standby(self) -> bool:
+        """Whether a coordinator stands by."""
+
+        async def look(tutti: Tutti) -> bool:
+            present = asyncio.Event()
+            expression = tutti.keys.live("coordinator", None, STANDBY)
+            watching = await tutti.bus.watch(expression, lambda _, is_there: present.set() if is_there else None)
+            with suppress(TimeoutError):
+                async with asyncio.timeout(LOOK_S):
+                    await present.wait()
+            await watching.undeclare()
+            return present.is_set()
+
+        return self.ask(look)
 
     # What users do
 

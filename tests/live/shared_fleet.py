@@ -1,20 +1,15 @@
 """A fleet whose router, adapter host and coordinators are started apart, with one journal in a database."""
 
-import asyncio
-from contextlib import suppress
 from pathlib import Path
 
 from fleet import COMMAND, EXAMPLES, Entry, ReachedFleet, free_port
 from parts import Part
 
-from orchestrator.bus.keys import STANDBY
-from orchestrator.client import Tutti
 from orchestrator.model.files.private_files import replace_private_file
 from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.queue import JournalPolicy
 
 NAMES = ("a", "b")
-LOOK_S = 0.5
 
 
 class SharedFleet(ReachedFleet):
@@ -62,21 +57,6 @@ class SharedFleet(ReachedFleet):
             return max((entry.get("epoch") or 0 for entry in self.log_of(name)), default=0)
 
         return max(NAMES, key=find_epoch)
-
-    def has_standby(self) -> bool:
-        """Whether a coordinator stands by."""
-
-        async def look(tutti: Tutti) -> bool:
-            present = asyncio.Event()
-            expression = tutti.keys.live("coordinator", None, STANDBY)
-            watching = await tutti.bus.watch(expression, lambda _, is_there: present.set() if is_there else None)
-            with suppress(TimeoutError):
-                async with asyncio.timeout(LOOK_S):
-                    await present.wait()
-            await watching.undeclare()
-            return present.is_set()
-
-        return self.ask(look)
 
     def close(self) -> None:
         for part in reversed(self.parts.values()):

@@ -80,6 +80,8 @@ class LeaseKeeper:
 
     async def start(self) -> None:
         """Take the lease. Raises `JournalError`."""
+        # To connect may take longer than the lease, where one of the database's hosts is dead.
+        await self._terms.run(self._terms.lease.read_turn)
         await self._renew()
         self._tasks.spawn(self._keep_renewing())
 

@@ -13,6 +13,7 @@ import tempfile
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 import psycopg
 
@@ -44,17 +45,31 @@ def find_base() -> str:
     return memory if has_room else "/tmp"
 
 
+class Place(NamedTuple):
+    """Where a server runs. namespace: of the network, in which it has that address; empty: that of the tests. port: 0: a
+    free one."""
+
+    namespace: str = ""
+    address: str = "127.0.0.1"
+    port: int = 0
+
+
+HERE = Place()
+
+
 class PostgresServer:
     """A server with its data in a folder of its own. base: the folder in which that is made; its name is short, as the
     socket's has to be."""
 
-    def __init__(self, programs: Path, base: str = "") -> None:
+    def __init__(self, programs: Path, base: str = "", place: Place = HERE) -> None:
+        self.place = place
         self._base = base or find_base()
         self.folder = Path(tempfile.mkdtemp(prefix="tutti-pg-", dir=self._base))
         self.folder.chmod(0o755)
         self.data = self.folder / "data"
-        self.port = find_free_port()
-        self._prefix = _drop_rights() if os.getuid() == 0 else []
+        self.port = place.port or find_free_port()
+        inside = ["ip", "netns", "exec", place.namespace] if place.namespace else []
+        self._prefix = [*inside, *(_drop_rights() if os.getuid() == 0 else [])]
         self._programs = _make_reachable(programs, self.folder, self._prefix)
         self._process: subprocess.Popen[bytes] | None = None
 
@@ -67,7 +82,8 @@ class PostgresServer:
             *("--no-sync", "--wal-segsize=1"),
         )
         hosts = self.data / "pg_hba.conf"
-        hosts.write_text(f"host all locked 127.0.0.1/32 scram-sha-256\n{hosts.read_text()}")
+        others = "host all all samenet trust\nhost replication all samenet trust\n"
+        hosts.write_text(f"host all locked 127.0.0.1/32 scram-sha-256\n{hosts.read_text()}{others}")
         self.add_settings("max_connections=40", *settings)
         self.start()
 
@@ -75,24 +91,31 @@ class PostgresServer:
         with (self.data / "postgresql.conf").open("a") as file:
             file.write("".join(f"{setting}\n" for setting in settings))
 
-    def make_standby(self, name: str) -> "PostgresServer":
+    def make_standby(self, name: str, place: Place = HERE) -> "PostgresServer":
         """A standby of this server that streams from it, as `name`."""
-        standby = PostgresServer(self._programs, self._base)
+        standby = PostgresServer(self._programs, self._base, place)
         standby._own(standby.folder)
-        self._run(
-            *("pg_basebackup", "-h", "127.0.0.1", "-p", self.port, "-U", "tutti", "-D", standby.data),
+        standby._run(
+            *("pg_basebackup", "-h", self.place.address, "-p", self.port, "-U", "tutti", "-D", standby.data),
             *("-R", "-X", "stream", "-c", "fast", "--no-sync"),
         )
-        source = f"host=127.0.0.1 port={self.port} user=tutti application_name={name}"
         with (standby.data / "postgresql.auto.conf").open("a") as file:
-            file.write(f"primary_conninfo = '{source}'\n")
+            file.write(f"primary_conninfo = '{self._make_source(name)}'\n")
         standby.start()
         return standby
+
+    def follow(self, primary: "PostgresServer", name: str) -> None:
+        """Stream from another server from now on, as `name`."""
+        self.execute(f"ALTER SYSTEM SET primary_conninfo = '{primary._make_source(name)}'")
+        self.execute("SELECT pg_reload_conf()")
+
+    def _make_source(self, name: str) -> str:
+        return f"host={self.place.address} port={self.port} user=tutti application_name={name}"
 
     def start(self) -> None:
         command = [
             *(*self._prefix, str(self._programs / "postgres"), "-D", str(self.data), "-p", str(self.port)),
-            *("-h", "127.0.0.1", "-k", str(self.folder)),
+            *("-h", self.place.address, "-k", str(self.folder)),
         ]
         log = (self.folder / "log").open("ab")
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
@@ -135,7 +158,7 @@ class PostgresServer:
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def make_address(self, database: str, user: str = "tutti") -> str:
-        return f"postgresql://{user}@127.0.0.1:{self.port}/{database}"
+        return f"postgresql://{user}@{self.place.address}:{self.port}/{database}"
 
     def execute(self, statement: str, database: str = "postgres") -> list[tuple[object, ...]]:
         """Run statements as the administrator; return the rows of the last one."""

@@ -15,8 +15,9 @@ from orchestrator.coordinator.journal.postgres.names import (
     name_schema,
     name_session,
 )
+from orchestrator.coordinator.journal.postgres.reach import takes_connections
 from orchestrator.coordinator.journal.postgres.schema import VERSION, list_columns, migrate, read_version
-from orchestrator.coordinator.journal.postgres.session import DEADLINE_S, Session, Statement
+from orchestrator.coordinator.journal.postgres.session import ANSWER_S, DEADLINE_S, Session, Statement
 from orchestrator.coordinator.journal.postgres.transaction import make_epoch_error
 from orchestrator.coordinator.journal.records import BRING_BACK, HistoryLost, JournalError
 from orchestrator.coordinator.journal.sql import tables
@@ -134,6 +135,8 @@ def require_newest_line(place: FleetDatabase, session: Session) -> None:
     that does not answer cannot be asked."""
     own_line = session.line
     for address in split_hosts(place.address) if own_line is not None else ():
+        if not takes_connections(address.conninfo, ANSWER_S):
+            continue
         session_there = open_session(place._replace(address=address, seen_line=None, deadline_s=PROBE_S), TOOL)
         try:
             session_there.run([Statement("SELECT 1")])

@@ -20,6 +20,7 @@ from orchestrator.coordinator.journal.postgres.errors import (
     make_refused_error,
 )
 from orchestrator.coordinator.journal.postgres.lines import SeenLine, ServerLine
+from orchestrator.coordinator.journal.postgres.reach import put_living_first
 from orchestrator.coordinator.journal.records import JournalError
 
 RV = TypeVar("RV")
@@ -29,6 +30,7 @@ logging.getLogger("psycopg").setLevel(logging.ERROR)
 
 DEADLINE_S = 2.0  # of the statements that are sent together
 OLDEST = 14  # `pg_terminate_backend` waits, from this version on
+ANSWER_S = 0.5  # for each host to take a connection
 END_MS = 1000  # for a session of before to end
 
 
@@ -146,7 +148,8 @@ class Session:
 
     def _connect(self) -> _Connection:
         try:
-            connection = _Connection.connect(self._conninfo, autocommit=True, application_name=self.application)
+            conninfo = put_living_first(self._conninfo, min(ANSWER_S, self.deadline_s / 2))
+            connection = _Connection.connect(conninfo, autocommit=True, application_name=self.application)
         except (psycopg.Error, UnicodeError) as error:  # the latter of the name of a host
             raise make_refused_error(self.name, error) from None
         self._connection = connection
