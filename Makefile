@@ -15,7 +15,7 @@ PIP = -m pip --disable-pip-version-check --quiet
 INSTALL = $(PIP) install --no-deps --no-build-isolation -e .
 SLOWEST = --durations=10
 
-.PHONY: help demo page page-if-possible test test-fast test-live test-slow test-python test-other-pythons test-decisions test-cost test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty ecosystem test-ecosystem test-ecosystem-nightly test-postgres test-postgres-nightly check figures docs lock clean
+.PHONY: help demo page page-if-possible test test-fast test-live test-slow test-python test-other-pythons test-decisions test-cost test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty ecosystem test-ecosystem test-ecosystem-nightly test-postgres test-machines test-postgres-nightly check figures docs lock clean
 
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
@@ -34,6 +34,7 @@ help:
 	@echo "make test-nightly     the long ones: more campaign seeds and random cases, third-party clients"
 	@echo "make test-thirdparty  simulated controllers and fleets against clients from PyPI"
 	@echo "make test-postgres    the journal in PostgreSQL, on servers that the tests start"
+	@echo "make test-machines    computers with coordinators and databases die as a whole (root, for namespaces)"
 	@echo "make test-ecosystem   the demo fleet against clients of Bluesky, EPICS, OPC UA, ROS 2, MQTT, and the types of our side"
 	@echo "make check            linters, type checks, import contracts"
 	@echo "make figures          figures of the project's order and words"
@@ -170,7 +171,7 @@ test-nightly: $(DEV)/.stamp page test-thirdparty test-slow test-ecosystem test-e
 	-$(DEV)/bin/python tools/mutants.py
 	$(DEV)/bin/pytest -m "nightly and not live and not browser and not postgres" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)
 	$(DEV)/bin/pytest -m "browser and nightly" tests/browser $(SLOWEST)
-	$(DEV)/bin/pytest -m "nightly and live" -n 2 --dist loadfile --timeout 3600 $(SLOWEST)
+	$(DEV)/bin/pytest -m "nightly and live and not postgres" -n 2 --dist loadfile --timeout 3600 $(SLOWEST)
 	$(MAKE) test-other-pythons EACH="test-fast test-slow"
 
 # Simulated controllers and fleets against clients from PyPI; a skipped test is a failed one.
@@ -189,12 +190,16 @@ test-ecosystem-nightly: $(ECOSYSTEM)/.stamp
 	TUTTI_ECOSYSTEM=1 $(ECOSYSTEM)/bin/pytest -o filterwarnings=default -m nightly --timeout 3600 tests/ecosystem $(SLOWEST)
 	$(ECOSYSTEM)/bin/python tools/integration_matrix.py
 
-# A skipped test is a failed one here. Two at once: each process has a server of its own.
+# A skipped test is a failed one here. Three at once, which wait most of the time: each process has a server of its own.
 test-postgres: $(POSTGRES)/.stamp
-	TUTTI_POSTGRES=1 PYTHONDONTWRITEBYTECODE= $(POSTGRES)/bin/pytest -m "postgres and not nightly" -n 2 --dist loadfile tests/unit/journal $(SLOWEST)
+	TUTTI_POSTGRES=1 PYTHONDONTWRITEBYTECODE= $(POSTGRES)/bin/pytest -m "postgres and not nightly" -n 3 --dist loadfile tests/live/test_coordinators.py tests/unit/journal $(SLOWEST)
+
+# Three computers as network namespaces, with a database each: root.
+test-machines: $(POSTGRES)/.stamp
+	TUTTI_POSTGRES=1 PYTHONDONTWRITEBYTECODE= $(POSTGRES)/bin/pytest -m "postgres and not nightly" tests/live/test_machines.py $(SLOWEST)
 
 test-postgres-nightly: $(POSTGRES)/.stamp
-	TUTTI_POSTGRES=1 $(POSTGRES)/bin/pytest -m "postgres and nightly" --timeout 3600 tests/unit/journal $(SLOWEST)
+	TUTTI_POSTGRES=1 $(POSTGRES)/bin/pytest -m "postgres and nightly" --timeout 3600 tests/unit/journal tests/live/test_coordinators.py tests/live/test_machines.py $(SLOWEST)
 
 check: $(DEV)/.stamp
 	$(DEV)/bin/ruff check .

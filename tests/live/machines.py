@@ -14,6 +14,7 @@ from fleet import COMMAND, EXAMPLES, Entry, ReachedFleet
 from parts import Part
 from unit.journal.servers import Place, PostgresServer, find_programs
 
+from orchestrator.clock.live import raw_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.files.private_files import replace_private_file
 from orchestrator.model.jobs.files import load_fleet
@@ -88,6 +89,8 @@ class Machines(ReachedFleet):
         self.servers: dict[str, PostgresServer] = {}
         self.primary = "a"
         self._parts: dict[tuple[str, str], Part] = {}
+        self.lost_ns = 0
+        """When a computer was last lost, host time."""
 
     # Life
 
@@ -120,6 +123,7 @@ class Machines(ReachedFleet):
     def kill(self, computer: str) -> None:
         """A computer dies: its network is silent from one instant on, and nothing of it lives."""
         run("ip", "-n", name_namespace(computer), "link", "set", "eth0", "down")
+        self.lost_ns = raw_ns()
         for kind in ("router", "coordinator"):
             self._parts.pop((computer, kind)).kill()
         self.servers[computer].kill()
@@ -136,10 +140,14 @@ class Machines(ReachedFleet):
     def revive(self, computer: str) -> None:
         """A dead computer comes back, its database as a new standby."""
         run("ip", "-n", name_namespace(computer), "link", "set", "eth0", "up")
-        self.servers.pop(computer).remove()
-        self._add_standby(computer)
         self._start_router(computer)
         self._start_coordinator(computer)
+        self.rejoin(computer)
+
+    def rejoin(self, computer: str) -> None:
+        """What a site does with a former primary: its database follows the present one."""
+        self.servers.pop(computer).remove()
+        self._add_standby(computer)
         wait_until(lambda: self.mode == "two copies" and self.has_standby(), "two copies, and a standby")
 
     def move_primary(self, computer: str) -> None:
@@ -152,9 +160,7 @@ class Machines(ReachedFleet):
         self.servers[computer].promote()
         for name in others:
             self.servers[name].follow(self.servers[computer], name)
-        self.servers.pop(former).remove()
-        self._add_standby(former)
-        wait_until(lambda: self.mode == "two copies" and self.has_standby(), "two copies, and a standby")
+        self.rejoin(former)
 
     def cut(self, *computers: str) -> None:
         """Cut the network between these; each reaches all others."""
@@ -164,6 +170,7 @@ class Machines(ReachedFleet):
     def cut_off(self, computer: str) -> None:
         """Cut a computer off from all others; its processes go on."""
         run("ip", "link", "set", name_port(computer), "down")
+        self.lost_ns = raw_ns()
 
     def mend(self, *computers: str) -> None:
         for name in computers:

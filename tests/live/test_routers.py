@@ -6,13 +6,16 @@ from pathlib import Path
 
 import pytest
 from children import LIMIT_S, wait_until
-from fleet import COMMAND, EXAMPLES, READY, RunningFleet, free_port
+from fleet import COMMAND, EXAMPLES, READY, RunningFleet, free_port, margin_s
 
+from orchestrator.bus.zenoh.sessions import open_session
 from orchestrator.client import Tutti
+from orchestrator.clock.live import raw_ns
 from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.state import ControllerState
 
 pytestmark = [pytest.mark.live, pytest.mark.nightly]
+LOST_S, OPEN_S, BUSY_S = 10.0, 2.0, 3.0
 
 
 def start_router(folder: Path, own: str, other: str) -> "subprocess.Popen[str]":
@@ -56,6 +59,25 @@ def test_a_fleet_goes_on_through_its_second_router(tmp_path: Path) -> None:
         wait_until(lambda: len(fleet.ask(look)) == 2, "the first router carries for the second one")
     finally:
         fleet.close()
+        for each in routers:
+            each.terminate()
+            each.wait(LIMIT_S)
+
+
+def test_a_session_does_not_wait_for_a_router_that_is_silent(tmp_path: Path) -> None:
+    """Zenoh notices after 10 s that it is, and would then wait as long for it to open a session again."""
+    first, second = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
+    routers = [start_router(tmp_path, first, second), start_router(tmp_path, second, first)]
+    session = open_session(f"{first},{second}")
+    try:
+        (silent,) = session.info.routers_zid()
+        routers[0].send_signal(signal.SIGSTOP)
+        stopped_ns = raw_ns()
+        wait_until(lambda: bool({*session.info.routers_zid()} - {silent}), "it is with the second router")
+        assert margin_s(stopped_ns, raw_ns()) < LOST_S + OPEN_S + BUSY_S
+    finally:
+        routers[0].send_signal(signal.SIGCONT)
+        session.close()
         for each in routers:
             each.terminate()
             each.wait(LIMIT_S)

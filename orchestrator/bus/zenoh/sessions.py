@@ -32,6 +32,9 @@ _RETRY_CONFIG = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_fa
 _ATTEMPT_S = 1.0
 """Of several routers, how long one is waited for before the next one is tried."""
 
+_OPEN_MS = 2000
+"""The same when a session connects again: Zenoh's own 10 s are long for a host whose router is dead."""
+
 _ROUTER_LIMITS = {
     "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
     "transport/unicast/accept_timeout": 1000,  # ms; for a connection to become a session, else it is closed
@@ -109,6 +112,8 @@ def _make_client_config(endpoints: list[str], identity: Identity | None, timeout
         "listen/endpoints": [],
         "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
     }
+    if len(endpoints) > 1:
+        settings["transport/unicast/open_timeout"] = _OPEN_MS
     if identity is not None:
         settings["transport/link/tls"] = {
             "root_ca_certificate": str(identity.authority),
