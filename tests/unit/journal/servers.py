@@ -4,6 +4,7 @@
 enter.
 """
 
+import atexit
 import os
 import shutil
 import signal
@@ -11,6 +12,7 @@ import socket
 import subprocess
 import tempfile
 from contextlib import suppress
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
@@ -70,7 +72,7 @@ class PostgresServer:
         self.port = place.port or find_free_port()
         inside = ["ip", "netns", "exec", place.namespace] if place.namespace else []
         self._prefix = [*inside, *(_drop_rights() if os.getuid() == 0 else [])]
-        self._programs = _make_reachable(programs, self.folder, self._prefix)
+        self._programs = _make_reachable(programs, tuple(self._prefix))
         self._process: subprocess.Popen[bytes] | None = None
 
     def create(self, *settings: str) -> None:
@@ -198,14 +200,20 @@ def _drop_rights() -> list[str]:
     return ["setpriv", *rights, "--pdeathsig", "KILL"]
 
 
-def _make_reachable(programs: Path, folder: Path, prefix: list[str]) -> Path:
+def _make_reachable(programs: Path, prefix: tuple[str, ...]) -> Path:
     """The programs where the user of the servers may run them."""
     command = [*prefix, str(programs / "postgres"), "--version"]
-    if subprocess.run(command, capture_output=True, check=False).returncode == 0:
-        return programs
-    copy = folder / "install"
-    shutil.copytree(programs.parent, copy)
-    return copy / "bin"
+    is_reachable = subprocess.run(command, capture_output=True, check=False).returncode == 0
+    return programs if is_reachable else _copy_programs(programs)
+
+
+@cache
+def _copy_programs(programs: Path) -> Path:
+    """A copy of the programs, with all that they read, for all servers of this process."""
+    folder = Path(tempfile.mkdtemp(prefix="tutti-pg-", dir=find_base()))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    folder.chmod(0o755)
+    return Path(shutil.copytree(programs.parent, folder / "install")) / "bin"
 
 
 def _send(process: int, sign: signal.Signals) -> None:
