@@ -21,7 +21,7 @@ from adapters.contract import HostInterval, WriteResult
 from adapters.toolkit.firing import missed_write_fault
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed
-from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.errors import LATE_REMEDY, ControllerFault, Refusal
 
 _FIRST_COUNT_NS = 50 * NS_PER_MS  # from a start to the first reported count of its motion
 
@@ -51,7 +51,7 @@ class DriveStarter:
         at_ns = move.t0_ns - lowered_step.lead_ns
         # The waiting command must arrive in the drive before the SYNC.
         if node.clock.now_ns() + NS_PER_MS >= at_ns:
-            raise Refusal("late", "the instant to write the SYNC has passed", "increase the lead time")
+            raise Refusal("late", "the instant to write the SYNC has passed", LATE_REMEDY)
         control = node.control if lowered_step.shape is None else states.ENABLE | states.NEW_SET_POINT
         course = lowered_step.trajectory
         outputs = self.line.prepare_edge(move)

@@ -6,7 +6,7 @@ from struct import Struct
 from typing import NamedTuple
 
 from orchestrator.link.base import Link
-from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.errors import LATE_REMEDY, ControllerFault, Refusal
 
 IDENTITY = b"I"
 POLL = b"P"
@@ -26,7 +26,7 @@ _TICKS = slice(2, 10)
 _REFUSALS = {
     2: ("busy", "a move is released or in progress", "disarm or stop it"),
     3: ("other-start", "an axis is not where the move begins", "plan again from the present position"),
-    4: ("late", "the start has passed", "increase the lead time"),
+    4: ("late", "the start has passed", LATE_REMEDY),
     5: ("not-armed", "no such move is loaded", "arm it first"),
     6: ("disabled", "an axis is not enabled", "enable it: `tutti axis enable`"),
 }

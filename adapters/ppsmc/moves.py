@@ -30,7 +30,7 @@ from adapters.toolkit.host_start import (
     unmoved_outcome,
 )
 from adapters.toolkit.wired_points import WiredInput
-from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.errors import LATE_REMEDY, ControllerFault, Refusal
 
 
 @contextmanager
@@ -160,9 +160,7 @@ class PpSmcMover:
         """Start the waiting program only now: until `go`, no edge starts anything."""
         first_ns = move.t0_ns + move.lowered.window_ns[0]
         if self._clock.now_ns() + 12 * self._unit.slow_ns >= first_ns:
-            raise Refusal(
-                "late", "the program cannot be started before its trigger edge may come", "increase the lead time"
-            )
+            raise Refusal("late", "the program cannot be started before its trigger edge may come", LATE_REMEDY)
         loading.require_rest(
             self._unit, move.lowered, await self._session.send_queries(*loading.check_queries(move.lowered))
         )

@@ -11,7 +11,7 @@ from adapters.smc30.unitstate import Smc30State
 from adapters.toolkit.firing import missed_write_fault
 from adapters.toolkit.host_start import MoverTools, wait_for_write
 from orchestrator.clock.timed import TimedMove
-from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.errors import LATE_REMEDY, ControllerFault, Refusal
 
 
 class Smc30Starter:
@@ -38,7 +38,7 @@ class Smc30Starter:
             start_tolerance_ns = 0
         latest_ns = self._options.latest_write_ns(at_ns, start_tolerance_ns)
         if self._clock.now_ns() >= at_ns:
-            raise Refusal("late", "the instant to write the starting command has passed", "increase the lead time")
+            raise Refusal("late", "the instant to write the starting command has passed", LATE_REMEDY)
         shot = StartSlot(session.unit, at_ns, wire_ns, self._slots.each_ns, start_tolerance_ns)
         session.line.slots.reserve_slot(shot)
         move.slot = shot

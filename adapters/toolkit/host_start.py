@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from adapters.contract import HostInterval, MoveOutcome, TimedWrite, TimedWriter, WriteResult
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.clock.inferred import InferredClock
-from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.errors import LATE_REMEDY, ControllerFault, Refusal
 from orchestrator.model.state import StepCosts
 
 ORDER_NS = 3 * NS_PER_MS  # from the order of a timed write to its instant, which is not missed then
@@ -58,7 +58,7 @@ async def wait_for_write(order: TimedWrite, is_cancelled: Callable[[], bool]) ->
 def require_time_left(now_ns: int, at_ns: int) -> None:
     """Raise `Refusal` when the instant `at_ns` of the starting command has passed."""
     if now_ns >= at_ns:
-        raise Refusal("late", "the instant to write the starting command has passed", "increase the lead time")
+        raise Refusal("late", "the instant to write the starting command has passed", LATE_REMEDY)
 
 
 def moving_intervals(durations_s: Mapping[str, float], start: HostInterval, t0_ns: int) -> dict[str, HostInterval]:

@@ -38,6 +38,7 @@ from orchestrator.coordinator.maintenance.epochs import EpochRepair
 from orchestrator.coordinator.maintenance.learned import LearnedTimesKeeper
 from orchestrator.coordinator.maintenance.reload import FleetReload
 from orchestrator.coordinator.maintenance.wiring import WiringCheck
+from orchestrator.coordinator.motion.lead_time import LeadTimeEstimator
 from orchestrator.coordinator.motion.publisher import StepPublisher
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.statistics.collector import StatisticsCollector
@@ -97,6 +98,7 @@ class Coordinator:
             publisher=publisher,
             plan=environment.plan,
             plan_long=environment.plan_long,
+            estimator=LeadTimeEstimator(fleet.starts.release),
         )
         self._targets = motion.targets
         self._virtual = VirtualObserver(self._view, bus, keys, self._leases)

@@ -9,6 +9,10 @@ SETTING_CHANGED = "setting-changed"
 """Code of a controller whose settings another client has changed: what would move waits until they are as before."""
 NOT_REFERENCED = "not-referenced"
 """Code of an axis whose position is not known: it must be homed before it moves to a position."""
+LATE_REMEDY = (
+    "lighten the load of the computer, or give starts more time in the fleet file: `starts: {release: 100 ms}`"
+)
+"""Of a start that came too late."""
 
 MAX_ERROR_TEXT = 2000  # characters; what a controller has sent may be in it, and need not end
 _SHOWN_BEGIN, _SHOWN_END = 1600, 300

@@ -37,7 +37,7 @@ from orchestrator.model.numbers import Duration, Hertz, Part, Seconds, SignedNum
 from orchestrator.model.pairs.fields import explain_pair_field
 from orchestrator.model.pairs.rack import MotorRack
 from orchestrator.model.problems import Problem, raise_problems, validate_with
-from orchestrator.model.queue import JournalPolicy
+from orchestrator.model.queue import JournalPolicy, StartPolicy
 from orchestrator.model.text.text_fields import PLAIN_TEXT
 from orchestrator.model.units import Quantity, Unit, UnitError, find_dimension, parse_quantity
 from orchestrator.model.virtual_axes import MAX_GROUPS, VirtualGroup, digest_corrections
@@ -650,6 +650,11 @@ class Fleet(Model):
         "several, another one is used when one goes away.",
     )
     queue: QueuePolicy = QueuePolicy()
+    starts: StartPolicy = Field(
+        default_factory=StartPolicy,
+        exclude_if=lambda policy: policy == StartPolicy(),
+        description="Time for agreed starts, on a computer that is busy at times.",
+    )
     journal: JournalPolicy = Field(
         default_factory=JournalPolicy,
         exclude_if=lambda policy: policy == JournalPolicy(),

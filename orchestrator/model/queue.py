@@ -111,3 +111,15 @@ class JournalPolicy(Model):
         le=60 * NS_PER_S,
         description="A leader that cannot renew its lease ends after two thirds of it; a standby waits for the whole.",
     )
+
+
+class StartPolicy(Model):
+    """How starts that several controllers agree on are prepared."""
+
+    release: Duration = Field(
+        default=0,
+        ge=0,
+        le=10 * NS_PER_S,
+        description="The least time for decision and release, before T0. A computer that is busy for less makes no "
+        "start late; each start comes up to so much later. 0: what the fleet has needed of late.",
+    )

@@ -6,7 +6,7 @@ from dataclasses import replace
 from statistics import median
 
 import pytest
-from cluster.worlds import PREPARE, job, origin_host_ns, outcome, run_fleet
+from cluster.worlds import PREPARE, demo_fleet, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.motion.lead_time import (
@@ -20,6 +20,7 @@ from orchestrator.coordinator.motion.lead_time import (
     SLOW_GO_FACTOR,
     LeadTimeEstimator,
 )
+from orchestrator.model.queue import StartPolicy
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 STEPS = "[{do: move, to: {gantry.x: %d, stage.u: %d}}]"
@@ -75,6 +76,39 @@ def test_a_member_that_was_too_busy_to_promise_in_time_is_armed_again(busy_ms: i
         }
 
     run_fleet(main)
+
+
+@pytest.mark.parametrize(("release_ms", "state"), [(0, "failed"), (150, "done")])
+def test_a_busy_host_fails_no_step_whose_release_has_time(release_ms: int, state: str) -> None:
+    """It stops between the two answers to `go`. With little time, the member that has answered starts before it can be
+    unloaded; with more, both are armed again."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        for k in range(KNOWN_AFTER):
+            await outcome(fleet, job(STEPS % (10 + k % 2, 1 + k % 2), max_start_skew="20 ms"))
+
+        told = len(fleet.lines)
+        running = asyncio.ensure_future(outcome(fleet, job(STEPS % (20, 3), max_start_skew="20 ms")))
+        while not any("job is committed" in line for line in fleet.lines[told:]):
+            await sleep_ns(fleet.clock, NS_PER_MS // 10)
+        await sleep_ns(fleet.clock, 2 * NS_PER_MS)
+        fleet.freeze("host/local")
+        await sleep_ns(fleet.clock, 250 * NS_PER_MS)
+        fleet.resume("host/local")
+        assert (await running).state == state
+
+    starts = StartPolicy.model_validate({"release": f"{release_ms} ms"})
+    run_fleet(main, demo_fleet().model_copy(update={"starts": starts}))
+
+
+def test_a_release_gets_at_least_what_the_fleet_file_says() -> None:
+    pace = LeadTimeEstimator(80 * NS_PER_MS)
+    for _ in range(KNOWN_AFTER):
+        pace.record_release(20 * NS_PER_MS, 10 * NS_PER_MS)
+        pace.record_following(5 * NS_PER_MS)
+    assert pace.go_ns(2) == pace.go_ns(2, follows=True) == 80 * NS_PER_MS
+    assert pace.margin_ns(2) == (10 + 80) * NS_PER_MS
 
 
 def test_measured_times_need_enough_steps_and_do_not_apply_to_a_late_member() -> None:

@@ -14,7 +14,7 @@ from orchestrator.model.jobs.files import load_fleet, parse_document
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.restart import StartPreview
 from orchestrator.model.messages import RefusalDetails
-from orchestrator.model.queue import QueueTerms
+from orchestrator.model.queue import QueueTerms, StartPolicy
 from orchestrator.model.report import JobProgress, JobReport, LeaseState
 from orchestrator.model.templates.template import load_job
 from orchestrator.runtime.virtual.fleet import VirtualFleet
@@ -26,8 +26,8 @@ T = TypeVar("T")
 
 def demo_fleet() -> Fleet:
     """The example fleet: SMC-4000 on TCP, SHRC-203 on a serial line; without its named positions, because tests change
-    its axes."""
-    return load_fleet(EXAMPLES / "demo.fleet.yaml").model_copy(update={"positions": {}})
+    its axes, and with the lead times that it learns."""
+    return load_fleet(EXAMPLES / "demo.fleet.yaml").model_copy(update={"positions": {}, "starts": StartPolicy()})
 
 
 def virtual_demo_fleet() -> Fleet:

@@ -2,6 +2,7 @@
 third one the adapter host. Any of the two can die, or be cut off."""
 
 import os
+import re
 import shutil
 import subprocess
 from collections.abc import Generator
@@ -37,6 +38,7 @@ def make_networks() -> Generator[None]:
     """The bridge, with the test's own address, and the namespaces; skips the test where they are not allowed."""
     if os.geteuid() != 0 or shutil.which("ip") is None or shutil.which("bridge") is None:
         pytest.skip("network namespaces need root, `ip` and `bridge`")
+    remove_leftovers()
     with ExitStack() as stack:
         try:
             run("ip", "link", "add", BRIDGE, "type", "bridge")
@@ -57,6 +59,18 @@ def make_networks() -> Generator[None]:
             run("ip", "-n", namespace, "address", "add", f"{NETWORK}.{number}/24", "dev", "eth0")
             run("ip", "-n", namespace, "link", "set", "eth0", "up")
         yield
+
+
+def remove_leftovers() -> None:
+    """Remove the networks of a test process that was killed: their bridge would stop all later ones."""
+    listed = subprocess.run(("ip", "netns", "list"), check=False, capture_output=True, text=True).stdout
+    namespaces = re.findall(r"^tutti-m[abc]-\d+", listed, re.MULTILINE)
+    left = [name for name in namespaces if not Path("/proc", name.rpartition("-")[2]).exists()]
+    for namespace in left:
+        run("ip", "netns", "delete", namespace)
+    if left == namespaces:
+        for link in (BRIDGE, *map(name_port, NUMBERS)):
+            subprocess.run(("ip", "link", "delete", link), check=False, capture_output=True)
 
 
 def name_namespace(computer: str) -> str:

@@ -10,7 +10,7 @@ from adapters.controller.state.axis_way import AxisWay
 from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.loaded_steps import LoadedSteps
 from adapters.controller.state.next_step import PreparedMove
-from orchestrator.model.errors import Refusal
+from orchestrator.model.errors import LATE_REMEDY, Refusal
 from orchestrator.model.messages import ArmRequest, Proposal, ProposeRequest, StartAtOnceRequest
 
 
@@ -84,7 +84,7 @@ class StepLowering:
             )
             require_triggers(lowered_step, start)
         if self._context.clock.now_ns() + lowered_step.costs.disarm_ns >= t0_ns:
-            raise Refusal("late", "T0 is too near to arm; the arm request came late", "increase the lead time")
+            raise Refusal("late", "T0 is too near to arm; the arm request came late", LATE_REMEDY)
         armed_step = ArmedStep(
             job=request.job,
             step=request.step,

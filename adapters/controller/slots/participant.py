@@ -16,7 +16,7 @@ from adapters.controller.slots.step_checks import StepChecks
 from adapters.controller.state.armed_step import ArmedStep, StepPhase
 from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.next_step import FollowingStep, PreparedMove
-from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.errors import LATE_REMEDY, ControllerFault, Refusal
 from orchestrator.model.messages import (
     ArmedReply,
     ArmRequest,
@@ -143,7 +143,7 @@ class StepParticipant:
             t0_ns = armed_step.scale.to_host_ns(request.t0_fleet_ns) if advance_ns else armed_step.t0_host_ns
             advance_ns = armed_step.t0_host_ns - t0_ns
             if self._context.clock.now_ns() >= t0_ns:
-                raise Refusal("late", "T0 has passed", "increase the lead time")
+                raise Refusal("late", "T0 has passed", LATE_REMEDY)
             released_step = replace(
                 armed_step, phase=StepPhase.RELEASED, t0_fleet_ns=request.t0_fleet_ns, t0_host_ns=t0_ns
             )
@@ -216,7 +216,7 @@ class StepParticipant:
     def _require_phase(self, request: StepRequest, t0_fleet_ns: int, phase: StepPhase) -> ArmedStep:
         armed_step = self._steps.find_step(request)
         if armed_step is None and self._context.clock.now_ns() >= self._context.require_scale().to_host_ns(t0_fleet_ns):
-            raise Refusal("late", "T0 has passed, and the step was unloaded", "increase the lead time")
+            raise Refusal("late", "T0 has passed, and the step was unloaded", LATE_REMEDY)
         if armed_step is None or armed_step.t0_fleet_ns != t0_fleet_ns:
             raise Refusal(
                 "not-armed", f"not armed for job {request.job} {name_step(request.step)} at that T0", "arm it first"

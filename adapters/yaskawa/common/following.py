@@ -16,7 +16,7 @@ from adapters.yaskawa.common.program import (
 from adapters.yaskawa.common.watchdog import StepWatchdog
 from orchestrator.clock.base import Clock, sleep_ns
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.errors import LATE_REMEDY, ControllerFault, Refusal
 
 
 class FollowingStart:
@@ -56,7 +56,7 @@ class FollowingStart:
         if ticks > TICKS_MAX:
             raise Refusal("counter-full", "the sample counter overflows before the start", "restart the controller")
         if not lowered.at_once and ticks - present.end_ticks < self.gap_ticks(present):
-            raise Refusal("late", "the step begins too soon after the one before it", "increase the lead time")
+            raise Refusal("late", "the step begins too soon after the one before it", LATE_REMEDY)
         await self._wait_until_taken(present)
         positions = await self._end_positions(present)
         for move in lowered.moves:
@@ -127,7 +127,7 @@ class FollowingStart:
             "XFARM", f"_HX{following.thread}", "XFL"
         )
         if is_missed or self._clock.now_ns() > following.t0_ns:
-            raise Refusal("late", "the step before has not ended in time", "increase the lead time")
+            raise Refusal("late", "the step before has not ended in time", LATE_REMEDY)
         if not is_running or int(armed_ticks) != following.ticks:
             raise Refusal("not-armed", "the controller does not wait for this start", "arm it again")
 
@@ -140,14 +140,14 @@ class FollowingStart:
             commands = [f"XFT={following.ticks}", f"XFARM={following.ticks}"]
         is_near = following.mapping.to_ticks(self._clock.now_ns()) > following.ticks - self._device.gate.follow_before
         if is_near and not following.lowered.at_once:
-            raise Refusal("late", "it is too late to release the start", "increase the lead time")
+            raise Refusal("late", "it is too late to release the start", LATE_REMEDY)
         following.released = True  # before that, so that no query of the present move sets an earlier deadline
         await session.send_settings([*commands, self._watchdog.extension_command(following.ticks), "XFGO=1"])
         (ticks, is_released, is_missed, is_running, begun_ticks), _ = await session.read_numbers(
             "XFT", "XFGO", "XFL", f"_HX{following.thread}", "XT0"
         )
         if is_missed or not (is_running or int(begun_ticks) == following.ticks):
-            raise Refusal("late", "the controller no longer waits for this start", "increase the lead time")
+            raise Refusal("late", "the controller no longer waits for this start", LATE_REMEDY)
         if int(ticks) != following.ticks or not is_released:
             raise Refusal("read-back", f"XFT reads back as {ticks:.0f}, not {following.ticks}", "try again")
 

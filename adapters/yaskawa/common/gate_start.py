@@ -15,7 +15,7 @@ from adapters.yaskawa.common.watchdog import StepWatchdog
 from adapters.yaskawa.wire.record import AXIS_LETTERS, DataRecord
 from orchestrator.clock.base import Clock, sleep_ns, sleep_until_ns
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.errors import LATE_REMEDY, ControllerFault, Refusal
 
 
 class GateStart:
@@ -52,7 +52,7 @@ class GateStart:
         if ticks > TICKS_MAX:
             raise Refusal("counter-full", "the sample counter overflows before the start", "restart the controller")
         if mapping.to_ticks(began_ns) > ticks - self._device.gate.release_before:
-            raise Refusal("late", "T0 is too near to arm", "increase the lead time")
+            raise Refusal("late", "T0 is too near to arm", LATE_REMEDY)
         loaded_move = LoadedMove(lowered, ticks, t0_ns, mapping, {})
         await self._device.wait_for_stops()
         self._require_ready(await self._device.read_record(), lowered)
@@ -128,7 +128,7 @@ class GateStart:
         while True:
             # The program also ends by itself if it reaches its gate after the closing time.
             if late or self._clock.now_ns() > loaded.t0_ns:
-                raise Refusal("late", "the gate is already shut", "increase the lead time")
+                raise Refusal("late", "the gate is already shut", LATE_REMEDY)
             if not is_running:
                 raise Refusal("not-armed", "the controller no longer waits for this start", "arm again")
             if armed_ticks:
@@ -148,7 +148,7 @@ class GateStart:
             commands = [f"XT0={loaded.ticks}", self._watchdog.extension_command(loaded.ticks), *commands]
             operands.append("XT0")
         if loaded.mapping.to_ticks(self._clock.now_ns()) > loaded.ticks - self._device.gate.release_before:
-            raise Refusal("late", "it is too late to release the start", "increase the lead time")
+            raise Refusal("late", "it is too late to release the start", LATE_REMEDY)
         opened_ns = await session.send_settings(commands)
         await sleep_until_ns(self._clock, opened_ns + round(self._device.gate.usual_delay * loaded.mapping.tick_ns))
         while True:
@@ -156,7 +156,7 @@ class GateStart:
             if ticks and ticks[0] != loaded.ticks:
                 raise Refusal("read-back", f"XT0 reads back as {ticks[0]:.0f}, not {loaded.ticks}", "try again")
             if late:
-                raise Refusal("late", "the gate was shut before the release came", "increase the lead time")
+                raise Refusal("late", "the gate was shut before the release came", LATE_REMEDY)
             if not is_running:
                 raise Refusal("not-armed", "the controller no longer waits for this start", "arm again")
             if is_passed:

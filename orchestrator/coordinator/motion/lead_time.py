@@ -73,7 +73,9 @@ class LeadTimeEstimator:
     last_leads_ns: the lead time of the last step of the same members.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, least_go_ns: int = 0) -> None:
+        """least_go_ns: the least time to allow for decision and release."""
+        self._least_go_ns = least_go_ns
         self._shares: dict[tuple[ArmKind, str], _DurationHistory] = {}
         self._releases_ns = _DurationHistory()
         self._goes_ns = _DurationHistory()
@@ -195,7 +197,8 @@ class LeadTimeEstimator:
         have just taken; a machine that was slow a moment ago probably still is. follows: behind a step."""
         known_history = self._following_ns if follows and self._following_ns.is_known else self._goes_ns
         declared_ns = _default_margin_ns(members) / 2
-        return round(max(known_history.allowed_time(declared_ns, factor=GO_FACTOR), SLOW_GO_FACTOR * promise_ns))
+        known_ns = known_history.allowed_time(declared_ns, factor=GO_FACTOR)
+        return round(max(known_ns, SLOW_GO_FACTOR * promise_ns, self._least_go_ns))
 
     def margin_ns(self, members: int, *, use_known: bool = True) -> int:
         """The time to allow for promise, decision and release. members: their number."""
@@ -203,8 +206,9 @@ class LeadTimeEstimator:
             half_ns = _default_margin_ns(members) / 2
             declared_ns = half_ns + max(half_ns, self.go_ns(members))
             return round(self._releases_ns.allowed_time(declared_ns, use_known=use_known))
-        # Before the decision, at least this much must be left for `go`.
-        return max(MIN_MARGIN_NS, round(self._releases_ns.allowed_time(0) + (1 - 1 / GO_FACTOR) * self.go_ns(members)))
+        go_ns, releases_ns = self.go_ns(members), self._releases_ns.allowed_time(0)
+        # Before the decision, at least as much as the first must be left for `go`.
+        return max(MIN_MARGIN_NS, round(releases_ns + (1 - 1 / GO_FACTOR) * go_ns), self.promise_ns + go_ns)
 
 
 def _default_margin_ns(members: int) -> int:
