@@ -35,6 +35,7 @@ from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority,
 from orchestrator.clock.service_manager import ServiceManager
 from orchestrator.clock.signals import call_at_signals
 from orchestrator.coordinator.alarms.command_process import run_command_process
+from orchestrator.coordinator.alarms.lost_history import LostHistoryAlarm
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.journal.records import HistoryLost, JournalError
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
@@ -92,7 +93,10 @@ async def run_coordinator(options: argparse.Namespace, *, urgent: bool) -> int:
             except JournalError as error:
                 # While a database fails over, it does not answer. One that never did may have a wrong address.
                 is_tried_again = options.standby and is_address(options.journal) and life.is_ready
-                if isinstance(error, HistoryLost) or not is_tried_again:
+                if isinstance(error, HistoryLost):
+                    await _report_lost_history(error, options, fleet, life)
+                    raise
+                if not is_tried_again:
                     raise
                 if str(error) != obstacle:
                     obstacle = str(error)
@@ -141,6 +145,19 @@ async def _watch_lease(options: argparse.Namespace, fleet: Fleet, name: str) -> 
         await run(close)
 
 
+def _make_history_alarm(options: argparse.Namespace, fleet: Fleet, life: ProcessLife) -> LostHistoryAlarm:
+    return LostHistoryAlarm(_find_state(options), life.bus, FleetKeys(fleet.fleet), run_command_process)
+
+
+async def _report_lost_history(
+    error: HistoryLost, options: argparse.Namespace, fleet: Fleet, life: ProcessLife
+) -> None:
+    failure = await _make_history_alarm(options, fleet, life).raise_alarm(error, fleet.notify, LiveClock().utc())
+    life.log.warning(f"cannot lead: {error}")
+    if failure:
+        life.log.warning(f"the command for this alarm has failed, and runs again with the next start: {failure}")
+
+
 def _make_wish(options: argparse.Namespace, fleet: Fleet, name: str) -> JournalWish:
     return JournalWish(options.journal, fleet.fleet, fleet.journal, options.existing_journal, name)
 
@@ -182,6 +199,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, life: ProcessLife) ->
             await bus.subscribe(court.keys.estop, lambda _: yield_priority(RealtimePriority.SERVICE))
         if not is_address(options.journal):
             LeaderFile(Path(options.journal)).write_own_process()
+        _make_history_alarm(options, fleet, life).clear()
         prepare_live_process()
         life.report_ready()
         events = (life.end, coordinator.leadership_lost, coordinator.broken, coordinator.handed_over)

@@ -646,7 +646,8 @@ class QueueEntry(Model):
     reason: of its state; for a queued job, what it waits for. ready: what it had to wait for is gone, and its start has
     to be asked for. place: position in the queue, 1 is next. held_by:
     originator of the hold, if it is held; `approval` while its plan waits for that. origin: the job that it re-runs,
-    from step `from_step` on, counted from 0. proposed: it needs the approval of its plan.
+    from step `from_step` on, counted from 0. proposed: it needs the approval of its plan. note: in the answer to its
+    submission, what the journal does not promise.
     """
 
     id: str
@@ -662,6 +663,7 @@ class QueueEntry(Model):
     from_step: int = 0
     proposed: bool = False
     ready: bool = False
+    note: str = Field(default="", exclude_if=lambda note: not note)
 
 
 class MissingPermit(Model):

@@ -36,12 +36,13 @@ def run_site(
     main: Callable[[VirtualFleet, DatabaseSite], Coroutine[Any, Any, T]],
     machines: tuple[str, ...] = MACHINES,
     seed: int = 1,
+    policy: JournalPolicy = JournalPolicy(copies=2),
 ) -> T:
-    """Run `main` with a prepared fleet, a leader `first` and a standby `second`."""
+    """Run `main` with a prepared fleet, a leader `first` and a standby `second`. policy: of the fleet file."""
 
     async def run(clock: VirtualClock) -> T:
         site = DatabaseSite(machines)
-        fleet = demo_fleet().model_copy(update={"journal": JournalPolicy(copies=2)})
+        fleet = demo_fleet().model_copy(update={"journal": policy})
         virtual = VirtualFleet(fleet, clock, seed)
         virtual.use_databases(site)
         await virtual.start()

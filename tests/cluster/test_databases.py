@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextvars import Context
+from typing import Literal
 
 import pytest
 
@@ -25,6 +26,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.journal.postgres.journal import PostgresJournal
 from orchestrator.coordinator.journal.postgres.transaction import Fence
 from orchestrator.model.errors import Refusal
+from orchestrator.model.queue import JournalPolicy
 from orchestrator.runtime.virtual.databases.site import CommitMoment, DatabaseSite
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
@@ -124,6 +126,18 @@ def test_a_primary_whose_standby_is_promoted_later_loses_nothing(after_ns: int) 
     for number in range(COMMITS):
         for moment in MOMENTS:
             assert strike_life(number, moment, strike).at_ns
+
+
+@pytest.mark.parametrize(("copies", "note"), [(1, "after a fail-over accepted jobs may be missing"), (2, "")])
+def test_the_answer_to_a_submission_says_what_the_journal_does_not_promise(copies: Literal[1, 2], note: str) -> None:
+    async def main(fleet: VirtualFleet, _: DatabaseSite) -> None:
+        client = fleet.make_client()
+        entry = await client.enqueue_job(SHORT, "key")
+        again = await client.enqueue_job(SHORT, "key")
+        assert note in entry.note and bool(note) == bool(entry.note) and again.note == entry.note
+        assert (await client.list_jobs(limit=1)).jobs[0].note == ""
+
+    run_site(main, policy=JournalPolicy(copies=copies))
 
 
 def test_a_leader_ends_once_with_a_slow_database_and_says_so() -> None:

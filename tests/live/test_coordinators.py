@@ -199,3 +199,26 @@ def test_a_coordinator_that_cannot_begin_says_why_in_a_line(running: Site, tmp_p
         assert (ended.returncode, ended.stdout) == (code, ""), ended
         (line,) = ended.stderr.splitlines()
         assert problem in line and "wrong@" not in line, line
+
+
+def test_a_database_that_has_lost_history_is_not_led_on_and_raises_an_alarm_once(fleet: Site, tmp_path: Path) -> None:
+    epoch, notices = fleet.epoch(), tmp_path / "notices"
+    fleet.primary.execute("DROP DATABASE IF EXISTS lost")
+    fleet.primary.execute("CREATE DATABASE lost")
+    configuration = json.loads((fleet.folder / "demo.fleet.json").read_text())
+    configuration["notify"] = {"command": ["sh", "-c", f"echo $TUTTI_ALARM_KIND $TUTTI_ALARM_TEXT >> {notices}"]}
+    configuration.pop("journal", None)
+    (tmp_path / "fleet.json").write_text(json.dumps(configuration))
+    for name in NAMES:
+        fleet.parts[name].kill()
+    journal = f"postgresql://tutti@127.0.0.1:{fleet.primary.port}/lost"
+    place = ("--journal", journal, "--connect", fleet.endpoint, "--state", str(tmp_path / "state"))
+    for _ in range(2):
+        ended = run_tutti("coordinator", str(tmp_path / "fleet.json"), *place)
+        assert ended.returncode == 1 and "it has lost history" in ended.stdout, ended
+        assert "`tutti journal import FILE --journal ADDRESS --replace" in ended.stdout
+    (line,) = notices.read_text().splitlines()
+    assert line.startswith("journal-history") and f"a controller has seen {epoch}" in line
+    for name in NAMES:
+        fleet.start_coordinator(name)
+    fleet.works()

@@ -115,6 +115,7 @@ def test_without_a_network_between_the_two_computers_one_leads_on(running: Machi
     assert read_ends() == ["job is done"] or "silent" in read_ends()[0]
     assert running.epoch() == epoch
     running.mend(*LEADING)
-    wait_until(lambda: running.mode == "two copies" and running.has_standby(), "all is as before")
+    wait_until(lambda: running.mode == "two copies", "the standby of the database follows again")
+    wait_until(running.has_standby, "the other coordinator is seen again")
     running.bring_back()
     assert running.run(move_to(7)).state == "done" and running.epoch() == epoch

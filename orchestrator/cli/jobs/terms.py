@@ -91,6 +91,8 @@ def print_accepted(entry: "QueueEntry") -> None:
     console.print(f"{name_jobs(entry)} is accepted", highlight=False, markup=False)
     for line in make_entry_lines(entry):
         console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
+    if entry.note:
+        console.print(f"  [bold yellow]note:[/] {entry.note}", highlight=False, soft_wrap=True)
 
 
 def make_entry_lines(entry: "QueueEntry") -> list[str]:

@@ -29,6 +29,11 @@ class _PendingNotice:
     due_ns: int
 
 
+def make_variables(record: AlarmRecord) -> dict[str, str]:
+    """What the command finds in its environment."""
+    return {f"TUTTI_ALARM_{name.upper()}": str(getattr(record, name)).replace("\0", " ") for name in VARIABLES}
+
+
 class AlarmNotifier:
     """Runs the command of `notify` in the fleet file of `access`, which may have none."""
 
@@ -89,8 +94,7 @@ class AlarmNotifier:
 
     async def _try_notice(self, command: NotifyCommand, change: str, notice: _PendingNotice) -> None:
         record = notice.record
-        variables = {f"TUTTI_ALARM_{name.upper()}": str(getattr(record, name)).replace("\0", " ") for name in VARIABLES}
-        result = await self._run_command(command.command, record.to_json(), variables, command.timeout)
+        result = await self._run_command(command.command, record.to_json(), make_variables(record), command.timeout)
         reason = result.why or f"exit code {result.exit_code}"
         if result.exit_code == 0:
             self._failures = 0

@@ -8,6 +8,11 @@ from orchestrator.model.report import JobState
 
 UNREADABLE_TIME = "1970-01-01T00:00:00.000000Z"  # stands for one that cannot be read
 BRING_BACK = "end the fleet, and bring back a backup: `tutti journal import FILE --state DIR --replace`"
+BRING_BACK_DATABASE = (
+    "end its coordinators, and bring back a backup, or its own export: "
+    "`tutti journal import FILE --journal ADDRESS --replace --connect ROUTER`"
+)
+"""With the router, the epoch is above all that controllers have seen."""
 
 
 class JournalError(TuttiError):

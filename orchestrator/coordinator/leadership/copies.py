@@ -14,6 +14,7 @@ from orchestrator.model.queue import CopyMode
 LOOK_NS = 10 * NS_PER_S
 LOOK_AGAIN_NS = NS_PER_S  # while a copy is missing
 WAITS: CopyMode = "waits for a copy"
+_LATE = "one copy: no commit waits for the standby of the database; after a fail-over accepted jobs may be missing"
 _STANDBY = "look at the standby of the database; `tutti doctor --journal` names what is wrong"
 
 
@@ -36,6 +37,9 @@ class JournalHealth(Protocol):
     @property
     def problems(self) -> Sequence[HealthProblem]: ...
 
+    @property
+    def may_lose_jobs(self) -> bool: ...
+
 
 class ReportCondition(Protocol):
     """Takes the condition of an alarm."""
@@ -56,6 +60,8 @@ class CopyWatch:
         self._tasks = tasks
         self.mode: CopyMode | None = None
         """None: not known, or the journal is no database."""
+        self.note = ""
+        """What is not promised of a job that is accepted."""
         self.on_change: Callable[[], None] = lambda: None
         """Called when the mode has changed."""
 
@@ -87,6 +93,7 @@ class CopyWatch:
         if health.mode == WAITS:
             text = f"{text or 'the copy on a second machine is missing'}; new jobs are refused, and none begins"
         remedy = _STANDBY if problem is None else problem.remedy
+        self.note = _LATE if health.may_lose_jobs else ""
         report(AlarmCause("journal-copies", "journal", text, remedy), holds=bool(text))
         if health.mode != self.mode:
             self.mode = health.mode

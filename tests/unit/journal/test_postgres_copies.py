@@ -95,6 +95,7 @@ def test_without_the_standby_promises_are_refused_and_the_job_that_runs_goes_on(
         assert lease.renew(epoch)
         health = journal.read_health()
         assert (health.mode, health.standbys, health.problems) == ("two copies", ("second",), ())
+        assert not health.may_lose_jobs
         pair.standby.suspend()
         try:
             # Its result is found out: it is on this machine.
@@ -179,7 +180,17 @@ def test_a_server_whose_commits_wait_for_no_copy_promises_nothing(server: Postgr
         health = journal.read_health()
         assert health.mode == "waits for a copy" and "synchronous_standby_names is empty" in health.problems[0].text
     with closing(PostgresJournal(place._replace(copies=1))) as journal:
-        assert journal.take_epoch(0) == 1 and journal.read_health().mode == "one copy"
+        assert journal.take_epoch(0) == 1
+        health = journal.read_health()
+        assert health.mode == "one copy" and not health.may_lose_jobs
+
+
+def test_with_one_copy_a_standby_may_lack_jobs(pair: Pair, number: int) -> None:
+    """Also one that the server's own sessions wait for: those of the journal do not."""
+    place = FleetDatabase(read_address(pair.address), f"pair{number}")
+    with closing(PostgresJournal(place)) as journal:
+        health = journal.read_health()
+        assert (health.mode, health.may_lose_jobs, health.problems) == ("one copy", True, ())
 
 
 def test_a_standby_alone_takes_no_writes_and_a_user_that_may_not_see_it_has_no_copy(pair: Pair, number: int) -> None:
@@ -202,14 +213,18 @@ def test_the_promoted_standby_has_what_was_accepted_and_names_what_it_waits_for(
         place = FleetDatabase(read_address(pair.address), f"pair{number}", copies=2)
         with closing(PostgresJournal(place)) as journal:
             epoch = journal.take_epoch(0)
-            timeline, system = journal.read_health()[7:9]
+            before = journal.read_health()
             accepted = [journal.accept_job(f"j{count}", f"k{count}", JOB, utc(1))[0] for count in range(20)]
             pair.primary.kill()
             pair.standby.promote()
             journal.require_latest_epoch(epoch)  # it has found the other server by itself
             assert [job.id for job in journal.list_unfinished()] == accepted
             health = journal.read_health()
-            assert (health.mode, health.timeline, health.system) == ("waits for a copy", timeline + 1, system)
+            assert (health.mode, health.timeline, health.system) == (
+                "waits for a copy",
+                before.timeline + 1,
+                before.system,
+            )
             assert "`ALTER SYSTEM RESET synchronous_standby_names`" in health.problems[0].remedy
             with pytest.raises(CopyMissing):
                 journal.accept_job("late", "late", JOB, utc(1))

@@ -20,7 +20,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.service import AxisPosition, JobRetried, JobSubmitted, PruneJobs, RetryJob, SubmitJob
 from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS, QueueTerms, format_utc, parse_utc
-from orchestrator.model.report import FINISHED_STATES
+from orchestrator.model.report import FINISHED_STATES, QueueEntry
 from orchestrator.model.steps.numbers import name_step, number_step
 from orchestrator.model.steps.order import RemainingStep, StepOrder, count_reports
 from orchestrator.model.steps.tree import iterate_steps
@@ -143,7 +143,7 @@ class JobIntake:
         await self._scheduler.enter_job(row, job)
         entry = self._scheduler.publisher.make_entry(row)
         cause = self._scheduler.starts.describe_cause(row.id)
-        return JobSubmitted(job_id=row.id, entry=entry.model_copy(update={"reason": cause or entry.reason}))
+        return self._make_reply(entry.model_copy(update={"reason": cause or entry.reason}))
 
     async def _keep_proposal(self, record: JobRecord, terms: QueueTerms) -> QueueTerms:
         """The terms of a re-run: of a job that was proposed and whose plan was never approved it is one again."""
@@ -166,7 +166,12 @@ class JobIntake:
             job = await services.load_job(job_id) if job is None else job
             if job is not None and job_id in self._outside:
                 return await self._enter_job(row, job)
-        return JobSubmitted(job_id=job_id, entry=None if row is None else self._scheduler.publisher.make_entry(row))
+        if row is None:
+            return JobSubmitted(job_id=job_id)
+        return self._make_reply(self._scheduler.publisher.make_entry(row))
+
+    def _make_reply(self, entry: QueueEntry) -> JobSubmitted:
+        return JobSubmitted(job_id=entry.id, entry=entry.model_copy(update={"note": self._services.copies.note}))
 
     def _require_free_way(self, request: SubmitJob) -> None:
         """Raise `Refusal` for a job that must begin at once, and would have to wait."""

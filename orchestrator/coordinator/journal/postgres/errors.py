@@ -2,7 +2,7 @@
 
 import psycopg
 
-from orchestrator.coordinator.journal.records import BRING_BACK, JournalError
+from orchestrator.coordinator.journal.records import BRING_BACK_DATABASE, JournalError
 
 
 class ConnectionLost(JournalError):
@@ -37,20 +37,20 @@ _REFUSED = (
 # By the first characters of SQLSTATE (PostgreSQL 18, appendix A); the longest that matches counts.
 _STATES = {
     "22": ("a value cannot be stored", "report it: no value of a fleet is so"),
-    "23": ("a record contradicts another one", BRING_BACK),
+    "23": ("a record contradicts another one", BRING_BACK_DATABASE),
     "25006": (_READS, _PRIMARY),
-    "3F": ("the schema of this fleet is missing", BRING_BACK),
+    "3F": ("the schema of this fleet is missing", BRING_BACK_DATABASE),
     "40": (_BUSY, "try again"),
     "42501": ("its user may not do that", "grant it the database: `GRANT CREATE ON DATABASE … TO …`"),
-    "42703": ("a column is missing: a table was changed by hand", BRING_BACK),
-    "42P01": ("a table is missing: the schema was changed by hand", BRING_BACK),
+    "42703": ("a column is missing: a table was changed by hand", BRING_BACK_DATABASE),
+    "42P01": ("a table is missing: the schema was changed by hand", BRING_BACK_DATABASE),
     "53100": ("the disk of the database is full", _SPACE),
     "53200": ("the server has no memory left", "look at what else runs there"),
     "53300": (_FULL, _SESSIONS),
     "55P03": (_BUSY, "try again"),
     "57P03": ("the server is starting or shutting down", "wait until it is up"),
     "58": ("the disk of the database fails", "look at the log of the server, and at its disk"),
-    "XX001": ("the database is damaged", BRING_BACK),
+    "XX001": ("the database is damaged", BRING_BACK_DATABASE),
     "XX002": ("an index of the database is damaged", "rebuild it: `reindexdb`"),
 }
 

@@ -33,7 +33,8 @@ class JournalHealth(NamedTuple):
     """What a database says of itself.
 
     server_commit: `synchronous_commit` as the server gives it to a session; session_commit: as this one has it.
-    standbys: those that confirm commits, and have those of before. timeline: counts up with each promotion; 0 in
+    standbys: those that confirm commits, and have those of before. followers: all that copy from
+    it. timeline: counts up with each promotion; 0 in
     recovery. system: the same for a primary and its standbys. clock_s: the server's clock, less this computer's.
     """
 
@@ -44,11 +45,17 @@ class JournalHealth(NamedTuple):
     in_recovery: bool
     standby_names: str
     standbys: tuple[str, ...]
+    followers: tuple[str, ...]
     timeline: int
     system: str
     clock_s: float
     mode: CopyMode
     problems: tuple[HealthProblem, ...]
+
+    @property
+    def may_lose_jobs(self) -> bool:
+        """Whether one of its standbys may be promoted that has not all jobs that were accepted."""
+        return self.mode == "one copy" and bool(self.followers)
 
 
 def read_health(session: Session, copies: int, awaited: str = BEGINNING) -> JournalHealth:
@@ -67,6 +74,7 @@ def read_health(session: Session, copies: int, awaited: str = BEGINNING) -> Jour
         in_recovery=in_recovery,
         standby_names=names,
         standbys=standbys,
+        followers=tuple(name for name, _ in standby_rows),
         timeline=int(wal[:8], 16) if wal else 0,
         system=system,
         clock_s=clock_s,

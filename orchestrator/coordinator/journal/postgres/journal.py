@@ -19,7 +19,7 @@ from orchestrator.coordinator.journal.postgres.reach import takes_connections
 from orchestrator.coordinator.journal.postgres.schema import VERSION, list_columns, migrate, read_version
 from orchestrator.coordinator.journal.postgres.session import ANSWER_S, DEADLINE_S, Session, Statement
 from orchestrator.coordinator.journal.postgres.transaction import make_epoch_error
-from orchestrator.coordinator.journal.records import BRING_BACK, HistoryLost, JournalError
+from orchestrator.coordinator.journal.records import BRING_BACK_DATABASE, HistoryLost, JournalError
 from orchestrator.coordinator.journal.sql import tables
 from orchestrator.coordinator.journal.sql.journal import SqlJournal
 from orchestrator.model.messages import MAX_EPOCH_STEP
@@ -82,7 +82,7 @@ class PostgresJournal(SqlJournal):
             if last < seen <= last + MAX_EPOCH_STEP:
                 raise HistoryLost(
                     f"{db.name}: its epoch is {last}, and a controller has seen {seen}: it has lost history",
-                    BRING_BACK,
+                    BRING_BACK_DATABASE,
                 )
             epoch = last + 1
             self._values.write("epoch", str(epoch))
@@ -175,4 +175,4 @@ def require_schema(db: PostgresDatabase, fleet: str) -> None:
         if missing_names:
             part = f"the column {missing_names[0]}" if table in columns else "the table"
             text = f"{db.name}: {part} of {schema}.{table} is missing: it was changed by hand"
-            raise JournalError(text, BRING_BACK)
+            raise JournalError(text, BRING_BACK_DATABASE)

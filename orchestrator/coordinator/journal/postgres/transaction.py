@@ -5,7 +5,7 @@ from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
 from orchestrator.coordinator.journal.postgres.session import Session, Statement
-from orchestrator.coordinator.journal.records import BRING_BACK, CopyMissing, HistoryLost, JournalError
+from orchestrator.coordinator.journal.records import BRING_BACK_DATABASE, CopyMissing, HistoryLost, JournalError
 from orchestrator.coordinator.journal.sql.leader_values import make_overtaken_error
 
 SENT_AT_ONCE = 500  # statements
@@ -141,4 +141,6 @@ def make_epoch_error(name: str, epoch: int, last: int) -> JournalError:
     """The error of a coordinator whose epoch is not the database's."""
     if last > epoch:
         return make_overtaken_error(epoch, last)
-    return HistoryLost(f"{name}: its epoch is {last}, and {epoch} was taken from it: it has lost history", BRING_BACK)
+    return HistoryLost(
+        f"{name}: its epoch is {last}, and {epoch} was taken from it: it has lost history", BRING_BACK_DATABASE
+    )
