@@ -22,6 +22,7 @@ from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 T = TypeVar("T")
 MACHINES = ("db-a", "db-b", "db-c")
+TWO_COPIES = JournalPolicy(copies=2)
 LEASE_NS = JournalPolicy().lease
 MORE_NS = 2 * NS_PER_S  # than lease and promotion, until the next leader leads
 LEASE_CALLS = {LeaderLease.renew.__name__, LeaderLease.release.__name__, LeaderLease.read_turn.__name__}
@@ -36,7 +37,7 @@ def run_site(
     main: Callable[[VirtualFleet, DatabaseSite], Coroutine[Any, Any, T]],
     machines: tuple[str, ...] = MACHINES,
     seed: int = 1,
-    policy: JournalPolicy = JournalPolicy(copies=2),
+    policy: JournalPolicy = TWO_COPIES,
 ) -> T:
     """Run `main` with a prepared fleet, a leader `first` and a standby `second`. policy: of the fleet file."""
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from contextvars import Context
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 
@@ -23,7 +23,7 @@ from cluster.worlds import job
 from orchestrator.campaign.journal_checks import JournalChecker
 from orchestrator.campaign.recording.recorder import BusRecorder
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
-from orchestrator.coordinator.journal.postgres.journal import PostgresJournal
+from orchestrator.coordinator.journal.postgres.database import PostgresDatabase
 from orchestrator.coordinator.journal.postgres.transaction import Fence
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import JournalPolicy
@@ -206,7 +206,7 @@ def test_a_dead_machine_that_answers_nothing_keeps_no_standby_from_leading() -> 
     run_site(main)
 
 
-def find_deposed_writes(after_ns: int = 990 * NS_PER_MS) -> list[str]:
+def find_deposed_writes(after_ns: int) -> list[str]:
     """What a leader writes that was suspended on the way to its journal, and resumes behind the take-over of the
     standby. after_ns: from the request for a job."""
     found: list[str] = []
@@ -227,7 +227,7 @@ def find_deposed_writes(after_ns: int = 990 * NS_PER_MS) -> list[str]:
     return found
 
 
-def require_nothing(_: PostgresJournal, __: int) -> None:
+def require_nothing(_: PostgresDatabase, __: list[Any], ___: int) -> None:
     return None
 
 
@@ -235,10 +235,12 @@ def hold_any_epoch(_: int) -> Fence:
     return Fence.lock()
 
 
-def test_a_write_without_its_epoch_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert find_deposed_writes() == []
-    # Both what is asked before the writes, and what each of them holds.
-    monkeypatch.setattr(PostgresJournal, "require_latest_epoch", require_nothing)
-    assert find_deposed_writes() == []
+@pytest.mark.parametrize("after_ms", [190, 490, 690])  # on the way to the acceptance, to the begin, to the decision
+def test_a_write_without_its_epoch_is_found(monkeypatch: pytest.MonkeyPatch, after_ms: int) -> None:
+    after_ns = after_ms * NS_PER_MS
+    assert find_deposed_writes(after_ns) == []
+    # Both what is asked with each read, and what each write holds.
+    monkeypatch.setattr(PostgresDatabase, "_require_last", require_nothing)
+    assert find_deposed_writes(after_ns) == []
     monkeypatch.setattr(Fence, "hold", hold_any_epoch)
-    assert [text for text in find_deposed_writes() if text.startswith("24: the leader of epoch 1 wrote")]
+    assert [text for text in find_deposed_writes(after_ns) if text.startswith("24: the leader of epoch 1 wrote")]

@@ -96,8 +96,7 @@ class GroupedCalls:
 
     async def _run_calls(self, calls: list[JournalCall]) -> None:
         try:
-            await self._run(self._journal.require_latest_epoch, self._find_epoch())
-            await self._run(self._journal.run_group, calls)
+            await self._run(self._journal.run_group, calls, self._find_epoch())
         except asyncio.CancelledError:
             # Those of others are still to be run, or are being run by the executor: then they are not run again.
             self._waiting[:0] = calls

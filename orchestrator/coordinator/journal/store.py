@@ -191,9 +191,10 @@ class JournalStore(Protocol):
 
     def close(self) -> None: ...
 
-    def run_group(self, calls: Sequence[JournalCall]) -> None:
+    def run_group(self, calls: Sequence[JournalCall], epoch: int) -> None:
         """Run calls of this journal in their order. Those that change it are one commit; if that fails, each is run
-        alone, so that each has its own result or error."""
+        alone, so that each has its own result or error. If an epoch after `epoch` has been taken, nothing is run, and
+        this, or each call, has the error `EpochOvertaken`."""
         ...
 
     def take_epoch(self, seen: int) -> int:

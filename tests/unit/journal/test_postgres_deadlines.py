@@ -163,7 +163,7 @@ def test_a_group_whose_commit_is_unknown_is_not_run_again(desk: Desk, monkeypatc
 
     desk.cut(monkeypatch, lambda text: text == "COMMIT", after=True)
     monkeypatch.setattr(desk.journal.database, "_find_result", lose)
-    desk.journal.run_group(calls)
+    desk.journal.run_group(calls, desk.journal.database.epoch)
     assert all(isinstance(call.error, UnknownResult) and call.is_done for call in calls)
     assert len(desk.journal.list_transitions("a")) == 3
 

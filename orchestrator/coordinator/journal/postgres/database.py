@@ -12,7 +12,14 @@ from typing import Any
 from orchestrator.coordinator.journal.postgres.errors import AnswerLate, ConnectionLost
 from orchestrator.coordinator.journal.postgres.health import BEGINNING, JournalHealth, read_health
 from orchestrator.coordinator.journal.postgres.session import Session, Statement
-from orchestrator.coordinator.journal.postgres.transaction import BEGIN, SNAPSHOT, Fence, Transaction
+from orchestrator.coordinator.journal.postgres.transaction import (
+    BEGIN,
+    EPOCH,
+    SNAPSHOT,
+    Fence,
+    Transaction,
+    make_epoch_error,
+)
 from orchestrator.coordinator.journal.records import CopyMissing, JournalError, UnknownResult
 from orchestrator.coordinator.journal.sql.database import Row
 
@@ -39,6 +46,7 @@ class PostgresDatabase:
         self.is_copy_missing = False
         """With two copies: what is no promise is committed on this machine alone, and promises are refused."""
         self._transaction: Transaction | None = None
+        self._required_epoch: int | None = None
         self._awaited = BEGINNING
         """The place in the log that a standby must have before it counts again."""
         self._writer = secrets.token_hex(8)
@@ -57,7 +65,7 @@ class PostgresDatabase:
 
     def select(self, statement: str, values: Row = ()) -> list[Any]:
         if self._transaction is None:
-            return self.session.run_again([Statement(statement, values)])[0]
+            return self._read_alone(Statement(statement, values))
         return self._transaction.read(Statement(statement, values))
 
     def stream(self, statement: str, values: Row = ()) -> Iterator[Any]:
@@ -96,6 +104,24 @@ class PostgresDatabase:
         with self._run_transaction(Fence.lock(), copied=True):
             yield
 
+    def require_epoch(self, epoch: int) -> None:
+        """Raises `EpochOvertaken` if a later epoch has been taken, and `HistoryLost` if only earlier ones have."""
+        self._require_last(self.session.run_again([EPOCH])[0], epoch)
+
+    @contextmanager
+    def under_epoch(self, epoch: int) -> Generator[None]:
+        """What is read inside, and is no part of a transaction, raises `EpochOvertaken` once a later one has been
+        taken."""
+        self._required_epoch = epoch
+        try:
+            yield
+        finally:
+            self._required_epoch = None
+
+    @property
+    def known_states(self) -> dict[str, str]:
+        return {} if self._transaction is None else self._transaction.known_states
+
     @contextmanager
     def unfenced(self) -> Generator[None]:
         """A transaction that holds no leader's row: of a schema that is made in it."""
@@ -112,6 +138,8 @@ class PostgresDatabase:
     @contextmanager
     def snapshot(self) -> Generator[None]:
         """All that is read inside is as it was at one instant; nothing is written."""
+        if self._required_epoch is not None:
+            self.require_epoch(self._required_epoch)
         transaction = self._transaction = Transaction(self.session, None, SNAPSHOT)
         try:
             yield
@@ -135,6 +163,18 @@ class PostgresDatabase:
         health = read_health(self.session, self.copies, self._awaited)
         self.is_copy_missing = health.mode == "waits for a copy"
         return health
+
+    def _read_alone(self, statement: Statement) -> list[Any]:
+        if self._required_epoch is None:
+            return self.session.run_again([statement])[0]
+        epoch_rows, rows = self.session.run_again([EPOCH, statement])
+        self._require_last(epoch_rows, self._required_epoch)
+        return rows
+
+    def _require_last(self, rows: list[Any], epoch: int) -> None:
+        ((last,),) = rows
+        if last != epoch:
+            raise make_epoch_error(self.name, epoch, last)
 
     @contextmanager
     def _run_transaction(self, fence: Fence, *, copied: bool) -> Generator[None]:

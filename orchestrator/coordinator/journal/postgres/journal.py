@@ -1,8 +1,9 @@
 """The journal in PostgreSQL: one schema for each fleet, written by the leader of the latest epoch alone."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from orchestrator.coordinator.journal.calls import JournalCall
 from orchestrator.coordinator.journal.facts import KeyedJob
 from orchestrator.coordinator.journal.postgres.address import JournalAddress
 from orchestrator.coordinator.journal.postgres.database import PostgresDatabase
@@ -18,9 +19,9 @@ from orchestrator.coordinator.journal.postgres.names import (
 from orchestrator.coordinator.journal.postgres.reach import takes_connections
 from orchestrator.coordinator.journal.postgres.schema import VERSION, list_columns, migrate, read_version
 from orchestrator.coordinator.journal.postgres.session import ANSWER_S, DEADLINE_S, Session, Statement
-from orchestrator.coordinator.journal.postgres.transaction import make_epoch_error
 from orchestrator.coordinator.journal.records import BRING_BACK_DATABASE, HistoryLost, JournalError
 from orchestrator.coordinator.journal.sql import tables
+from orchestrator.coordinator.journal.sql.grouping import run_group
 from orchestrator.coordinator.journal.sql.journal import SqlJournal
 from orchestrator.model.messages import MAX_EPOCH_STEP
 
@@ -98,9 +99,12 @@ class PostgresJournal(SqlJournal):
             self.database.write("UPDATE leader SET epoch = ?", (epoch,))
 
     def require_latest_epoch(self, epoch: int) -> None:
-        ((last,),) = self.database.select("SELECT epoch FROM leader")
-        if last != epoch:
-            raise make_epoch_error(self.database.name, epoch, last)
+        self.database.require_epoch(epoch)
+
+    def run_group(self, calls: Sequence[JournalCall], epoch: int) -> None:
+        """As of `JournalStore`. The epoch is asked for with what is read, in the same round trip."""
+        with self.database.under_epoch(epoch):
+            run_group(self.database, calls)
 
     def find_keyed_job(self, owner: str, client_key: str) -> KeyedJob | None:
         """As of `JournalStore`. A row can be visible without being copied: it counts once a later commit is

@@ -12,6 +12,7 @@ SENT_AT_ONCE = 500  # statements
 SENT_BYTES = 4_000_000
 
 BEGIN = Statement("BEGIN")
+EPOCH = Statement("SELECT epoch FROM leader")
 SNAPSHOT = Statement("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY")
 _LEADER = "SELECT epoch, current_setting('synchronous_standby_names') <> '' FROM leader"
 
@@ -50,6 +51,8 @@ class Transaction:
         self._connection: object | None = None
         self._has_standby = False
         self.copied = copied
+        self.known_states = dict[str, str]()
+        """States of jobs as they are in it: no other session changes one while the leader's row is held."""
         self.is_lost = False
         """It was rolled back as a whole."""
 
@@ -94,6 +97,7 @@ class Transaction:
         try:
             yield
         except BaseException:
+            self.known_states.clear()
             if not self.is_lost:
                 self.send_later(Statement("ROLLBACK TO part"))
                 self.send_later(Statement("RELEASE part"))
@@ -133,7 +137,7 @@ class Transaction:
         if rows:
             self._has_standby = bool(rows[0][1])
             return
-        (rows,) = self._session.run([Statement("SELECT epoch FROM leader")])
+        (rows,) = self._session.run([EPOCH])
         raise make_epoch_error(self._session.name, fence.epoch, rows[0][0])
 
 

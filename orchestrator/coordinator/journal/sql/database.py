@@ -25,6 +25,11 @@ class Database(Protocol):
         """Whether a transaction is open, and can still be committed."""
         ...
 
+    @property
+    def known_states(self) -> dict[str, str]:
+        """States of jobs, by their ids, that the present transaction has read or written; it may keep none."""
+        ...
+
     def select(self, statement: str, values: Row = ()) -> list[Any]:
         """The rows that a statement returns."""
         ...

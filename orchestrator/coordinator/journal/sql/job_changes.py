@@ -7,7 +7,7 @@ from orchestrator.coordinator.journal.facts import QueueEntryOptions, StepDecisi
 from orchestrator.coordinator.journal.records import JobHasEnded, JobRecord
 from orchestrator.coordinator.journal.sql.database import make_insert, make_marks, make_upsert
 from orchestrator.coordinator.journal.sql.job_reads import JobReads
-from orchestrator.coordinator.journal.sql.job_states import insert_transition, is_queued
+from orchestrator.coordinator.journal.sql.job_states import find_state, insert_transition, is_queued
 from orchestrator.coordinator.journal.sql.rows import find_checksum, list_term_values, scope_key
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.parts import dump_long
@@ -97,9 +97,9 @@ class JobChanges(JobReads):
                 insert_transition(self._db, job_id, transition)
 
     def _require_unended(self, job_id: str) -> None:
-        for (state,) in self._db.select("SELECT state FROM jobs WHERE id = ?", (job_id,)):
-            if state in FINISHED_STATES:
-                raise JobHasEnded(f"job {job_id} is {state} already: another coordinator has ended it")
+        state = find_state(self._db, job_id)
+        if state in FINISHED_STATES:
+            raise JobHasEnded(f"job {job_id} is {state} already: another coordinator has ended it")
 
     def record_decision(self, job_id: str, decision: StepDecision, utc: str) -> None:
         with self._db.transaction():

@@ -33,7 +33,8 @@ class SqlJournal(LeaderValues, JobChanges, ManualTables):
         self.commands = CommandTable(db)
         self.points = PointStore(points)
 
-    def run_group(self, calls: Sequence[JournalCall]) -> None:
+    def run_group(self, calls: Sequence[JournalCall], epoch: int) -> None:
+        self.require_latest_epoch(epoch)
         run_group(self._db, calls)
 
     def prune_jobs(self, before_utc: str, keep: int) -> int:

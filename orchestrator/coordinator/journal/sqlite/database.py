@@ -35,6 +35,10 @@ class SqliteDatabase:
     def in_transaction(self) -> bool:
         return self.connection.in_transaction
 
+    @property
+    def known_states(self) -> dict[str, str]:
+        return {}  # reading costs nothing
+
     def select(self, statement: str, values: Row = ()) -> list[Any]:
         try:
             return self.connection.execute(statement, values).fetchall()
