@@ -98,7 +98,7 @@ class Coordinator:
             publisher=publisher,
             plan=environment.plan,
             plan_long=environment.plan_long,
-            estimator=LeadTimeEstimator(fleet.starts.release),
+            estimator=LeadTimeEstimator(lambda: self._view.fleet.starts.release),
         )
         self._targets = motion.targets
         self._virtual = VirtualObserver(self._view, bus, keys, self._leases)

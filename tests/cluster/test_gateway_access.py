@@ -664,7 +664,7 @@ def test_a_fleet_file_is_compared_with_the_running_one(tmp_path: Path) -> None:
         session = await gateway.sign_in("mia")
         text = (EXAMPLES / "demo.fleet.yaml").read_text()
         same = (await gateway.post("/v1/check-fleet", {"text": text}, session)).json
-        assert [each["path"] for each in same["changes"]] == ["positions.park", "positions.sample"]
+        assert [each["path"] for each in same["changes"]] == ["positions.park", "positions.sample", "starts"]
         other = text.replace("velocity: 10,", "velocity: 8,", 1)
         found = (await gateway.post("/v1/check-fleet", {"text": other}, session)).json
         change = next(each for each in found["changes"] if "velocity" in each["path"])

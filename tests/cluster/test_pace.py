@@ -103,7 +103,7 @@ def test_a_busy_host_fails_no_step_whose_release_has_time(release_ms: int, state
 
 
 def test_a_release_gets_at_least_what_the_fleet_file_says() -> None:
-    pace = LeadTimeEstimator(80 * NS_PER_MS)
+    pace = LeadTimeEstimator(lambda: 80 * NS_PER_MS)
     for _ in range(KNOWN_AFTER):
         pace.record_release(20 * NS_PER_MS, 10 * NS_PER_MS)
         pace.record_following(5 * NS_PER_MS)

@@ -8,7 +8,7 @@ and its duration counts from then on.
 """
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Literal, get_args
 
 from orchestrator.clock.base import NS_PER_MS
@@ -73,9 +73,9 @@ class LeadTimeEstimator:
     last_leads_ns: the lead time of the last step of the same members.
     """
 
-    def __init__(self, least_go_ns: int = 0) -> None:
-        """least_go_ns: the least time to allow for decision and release."""
-        self._least_go_ns = least_go_ns
+    def __init__(self, find_least_go_ns: Callable[[], int] = lambda: 0) -> None:
+        """find_least_go_ns: returns the least time to allow for decision and release."""
+        self._find_least_go_ns = find_least_go_ns
         self._shares: dict[tuple[ArmKind, str], _DurationHistory] = {}
         self._releases_ns = _DurationHistory()
         self._goes_ns = _DurationHistory()
@@ -198,7 +198,7 @@ class LeadTimeEstimator:
         known_history = self._following_ns if follows and self._following_ns.is_known else self._goes_ns
         declared_ns = _default_margin_ns(members) / 2
         known_ns = known_history.allowed_time(declared_ns, factor=GO_FACTOR)
-        return round(max(known_ns, SLOW_GO_FACTOR * promise_ns, self._least_go_ns))
+        return round(max(known_ns, SLOW_GO_FACTOR * promise_ns, self._find_least_go_ns()))
 
     def margin_ns(self, members: int, *, use_known: bool = True) -> int:
         """The time to allow for promise, decision and release. members: their number."""
