@@ -148,6 +148,7 @@ def raise_state(desk: Desk, state: str) -> None:
         ("XX001", "the database is damaged"),
         ("40001", "another session was in the way"),
         ("25006", "it takes no writes"),
+        ("22023", "the server refuses a setting"),
         ("P0001", "the journal cannot be used"),
     ],
 )

@@ -37,6 +37,7 @@ _REFUSED = (
 # By the first characters of SQLSTATE (PostgreSQL 18, appendix A); the longest that matches counts.
 _STATES = {
     "22": ("a value cannot be stored", "report it: no value of a fleet is so"),
+    "22023": ("the server refuses a setting of the session", "look at its log: its own files may be missing"),
     "23": ("a record contradicts another one", BRING_BACK_DATABASE),
     "25006": (_READS, _PRIMARY),
     "3F": ("the schema of this fleet is missing", BRING_BACK_DATABASE),
