@@ -19,9 +19,8 @@ pytestmark = [pytest.mark.live, pytest.mark.nightly]
 
 ROOT = Path(__file__).parents[2]
 PAGE_S = 240.0
-# In reading order: each page finds the fleet as the previous one of its part left it. The first part begins with a fleet
-# as `tutti up` leaves it, the others with axes that are referenced.
-FIRST_PART = (
+# In reading order: each page finds the fleet as the previous one of its half left it.
+FIRST_HALF = (
     "tutorial/first-quarter-hour.md",
     "tutorial/first-day.md",
     "tutorial/first-script.md",
@@ -29,8 +28,6 @@ FIRST_PART = (
     "how-to/write-a-job.md",
     "how-to/scan-points.md",
     "how-to/scan-without-stopping.md",
-)
-SECOND_PART = (
     "how-to/think-in-other-axes.md",
     "how-to/probe.md",
     "how-to/compensate.md",
@@ -38,29 +35,28 @@ SECOND_PART = (
     "how-to/move-along-a-path.md",
     "how-to/run-a-program-from-cam.md",
     "how-to/use-templates.md",
-    "how-to/use-python.md",
-    "how-to/drive-move-by-move.md",
-    "how-to/read-states.md",
-    "how-to/arm-and-go.md",
-    "how-to/test-your-jobs.md",
 )
-THIRD_PART = (
+SECOND_HALF = (
     "how-to/name-positions.md",
     "how-to/work-with-the-queue.md",
     "how-to/record-and-export.md",
     "how-to/watch-metrics.md",
     "how-to/handle-alarms.md",
     "how-to/look-at-a-run.md",
+    "how-to/use-python.md",
+    "how-to/drive-move-by-move.md",
+    "how-to/read-states.md",
+    "how-to/arm-and-go.md",
+    "how-to/test-your-jobs.md",
     "how-to/manage-users-and-roles.md",
     "how-to/keep-axes-apart.md",
     "how-to/use-http.md",
 )
-PARTS = {"first": FIRST_PART, "second": SECOND_PART, "third": THIRD_PART}
-# They wait for motion most of the time, so `make test-docs` runs all parts side by side, each with a fleet.
+# They wait for motion most of the time, so `make test-docs` runs both halves side by side, each with a fleet.
 PAGES = [
-    pytest.param(name, page, id=page, marks=pytest.mark.xdist_group(name))
-    for name, part in PARTS.items()
-    for page in part
+    pytest.param(page, marks=pytest.mark.xdist_group(name))
+    for name, half in (("first", FIRST_HALF), ("second", SECOND_HALF))
+    for page in half
 ]
 
 
@@ -70,14 +66,10 @@ def find_gateway(fleet: RunningFleet) -> str:
 
 
 @pytest.fixture(scope="module")
-def fleet(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
-    """One for each part of the pages."""
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
     fleet = RunningFleet(tmp_path_factory.mktemp("documents"), recorded=True, web=True)
     try:
-        fleet.started()
-        if request.param != "first":
-            fleet.ready()
-        yield fleet
+        yield fleet.started()
     finally:
         fleet.end()
 
@@ -85,7 +77,7 @@ def fleet(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 def test_every_page_with_commands_is_run() -> None:
     pages = [*(ROOT / "docs" / "tutorial").glob("*.md"), *(ROOT / "docs" / "how-to").glob("*.md")]
     with_commands = {str(page.relative_to(ROOT / "docs")) for page in pages if commands(page) or programs(page)}
-    assert with_commands == {*FIRST_PART, *SECOND_PART, *THIRD_PART, *ECOSYSTEM_PAGES, *OWN_PAGES}
+    assert with_commands == {*FIRST_HALF, *SECOND_HALF, *ECOSYSTEM_PAGES, *OWN_PAGES}
 
 
 def is_idle(fleet: RunningFleet) -> bool:
@@ -95,14 +87,14 @@ def is_idle(fleet: RunningFleet) -> bool:
 
 
 @pytest.mark.timeout(PAGE_S + 60)
-@pytest.mark.parametrize(("fleet", "page"), PAGES, indirect=["fleet"])
+@pytest.mark.parametrize("page", PAGES)
 def test_the_commands_of_a_page_work(fleet: RunningFleet, page: str) -> None:
     script = "\n".join(["set -eu", *commands(ROOT / "docs" / page), *programs(ROOT / "docs" / page)])
     if "curl " in script and shutil.which("curl") is None:
         pytest.skip("needs the command curl")
     script = script.replace("tcp/127.0.0.1:7447", fleet.endpoint)
     script = script.replace("127.0.0.1:8080", find_gateway(fleet))
-    # All parts run at the same time, and some name the same file there.
+    # Both halves of the pages run at the same time, and some name the same file there.
     own_folder = fleet.folder / "tmp"
     own_folder.mkdir(exist_ok=True)
     script = re.sub(r"/tmp\b", str(own_folder), script)
