@@ -25,6 +25,7 @@ MACHINES = ("db-a", "db-b", "db-c")
 TWO_COPIES = JournalPolicy(copies=2)
 LEASE_NS = JournalPolicy().lease
 MORE_NS = 2 * NS_PER_S  # than lease and promotion, until the next leader leads
+WITHDRAWAL = "withdraw_decision"
 LEASE_CALLS = {LeaderLease.renew.__name__, LeaderLease.release.__name__, LeaderLease.read_turn.__name__}
 # Each moves an axis of its own, once a step.
 LONG = job("[{do: move, by: {gantry.x: 30 mm}, speed: 0.2}, {do: move, by: {gantry.y: 5 mm}}]")
@@ -63,18 +64,33 @@ class Life:
     accepted: dict[str, str] = field(default_factory=dict[str, str])
     facts: list[tuple[str, ...]] = field(default_factory=list[tuple[str, ...]])
 
-    def strike_at(self, number: int, moment: CommitMoment, strike: Callable[[], None]) -> None:
-        """Call `strike` at a commit of the first leader's journal, counted from 0."""
+    def strike_at(self, commit: int | str, moment: CommitMoment, strike: Callable[[], None]) -> None:
+        """Call `strike` at a commit of the first leader's journal: by its number, counted from 0, or the first one that
+        stores a fact. `WITHDRAWAL`: a start that is late is arranged, whose decision is withdrawn."""
+        is_struck = is_delayed = False
 
         def look(at: CommitMoment, computer: str) -> None:
+            nonlocal is_struck, is_delayed
             if computer != "first" or LEASE_CALLS & set(self.site.facts):
                 return
             if at == "before":
                 self.facts.append(self.site.facts)
-            if at == moment and len(self.facts) == number + 1:
+            is_reached = commit in self.facts[-1] if isinstance(commit, str) else len(self.facts) == commit + 1
+            if at == moment and is_reached and not is_struck:
+                is_struck = True
                 strike()
+            if commit == WITHDRAWAL and at == "after" and "record_decision" in self.facts[-1] and not is_delayed:
+                is_delayed = True
+                Context().run(self.fleet.clock.loop.create_task, self._suspend_host())
 
         self.site.on_commit = look
+
+    async def _suspend_host(self) -> None:
+        """Suspend the adapter host so that the request to start comes too late, and is refused in time."""
+        await sleep_ns(self.fleet.clock, 3 * NS_PER_MS)
+        self.fleet.freeze("host/local")
+        await sleep_ns(self.fleet.clock, 300 * NS_PER_MS)
+        self.fleet.resume("host/local")
 
     async def live(self) -> None:
         """Submit jobs, change the queue, and let all of it end, whoever leads."""
@@ -172,10 +188,14 @@ async def wait_for_leader(fleet: VirtualFleet, name: str) -> int:
     return fleet.clock.now_ns()
 
 
-def strike_life(number: int, moment: CommitMoment, strike: Callable[[VirtualFleet, DatabaseSite], None]) -> "Struck":
-    """Live a life with a fault at one commit of it, and check it. strike: the fault."""
+def strike_life(
+    commit: int | str, moment: CommitMoment, strike: Callable[[VirtualFleet, DatabaseSite], None], commit_ns: int = 0
+) -> "Struck":
+    """Live a life with a fault at one commit of it, as of `Life.strike_at`, and check it. strike: the fault. commit_ns:
+    how much longer each commit takes than usual."""
 
     async def main(fleet: VirtualFleet, site: DatabaseSite) -> Struck:
+        site.commit_ns = commit_ns
         life, before, struck = Life(fleet, site), count_motions(fleet), Struck()
 
         def strike_once() -> None:
@@ -187,7 +207,7 @@ def strike_life(number: int, moment: CommitMoment, strike: Callable[[VirtualFlee
         async def note_leader() -> None:
             struck.led_ns = await wait_for_leader(fleet, "second") - struck.at_ns
 
-        life.strike_at(number, moment, strike_once)
+        life.strike_at(commit, moment, strike_once)
         await life.live()
         life.check(before)
         struck.facts, struck.lines = life.facts, fleet.lines

@@ -12,6 +12,7 @@ from cluster.databases import (
     LONG,
     MORE_NS,
     SHORT,
+    WITHDRAWAL,
     count_motions,
     promote_later,
     run_site,
@@ -75,6 +76,13 @@ STRIKES: tuple[Strike, ...] = (
 )
 
 
+OTHER_CUTS = (
+    *(("db-a", "db-c"), ("db-b", "db-c"), ("first", "db-b")),
+    *(("first", "db-c"), ("second", "db-b"), ("second", "db-c")),
+)
+"""The networks between two computers that no strike cuts."""
+
+
 def name_strike(strike: Strike) -> str:
     return strike.__name__
 
@@ -107,6 +115,13 @@ def test_one_fault_loses_nothing_doubles_nothing_and_moves_nothing(
     assert struck.led_ns < LEASE_NS + NS_PER_S + MORE_NS
 
 
+@pytest.mark.parametrize("moment", MOMENTS)
+@pytest.mark.parametrize("strike", [kill_leader_machine, kill_primary], ids=name_strike)
+def test_one_fault_at_the_withdrawal_of_a_decision_starts_nothing_twice(strike: Strike, moment: CommitMoment) -> None:
+    struck = strike_life(WITHDRAWAL, moment, strike)
+    assert struck.at_ns and struck.led_ns < LEASE_NS + NS_PER_S + MORE_NS
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("moment", MOMENTS)
 @pytest.mark.parametrize("strike", STRIKES, ids=name_strike)
@@ -115,6 +130,22 @@ def test_one_fault_at_every_commit_loses_nothing(strike: Strike, moment: CommitM
         struck = strike_life(number, moment, strike)
         assert struck.at_ns, number
         assert struck.led_ns < LEASE_NS + NS_PER_S + MORE_NS, number
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("moment", MOMENTS)
+@pytest.mark.parametrize("computers", OTHER_CUTS, ids="-".join)
+def test_a_cut_between_any_two_computers_loses_nothing(computers: tuple[str, str], moment: CommitMoment) -> None:
+    for number in range(COMMITS):
+        assert strike_life(number, moment, lambda _, site: site.cut(*computers)).at_ns, number
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("moment", MOMENTS)
+@pytest.mark.parametrize("strike", [kill_leader_machine, kill_primary, kill_standby], ids=name_strike)
+def test_one_fault_of_a_slow_database_loses_nothing(strike: Strike, moment: CommitMoment) -> None:
+    for number in range(COMMITS):
+        assert strike_life(number, moment, strike, 300 * NS_PER_MS).at_ns, number
 
 
 @pytest.mark.nightly
