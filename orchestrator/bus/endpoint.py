@@ -2,6 +2,7 @@
 
 import re
 
+from orchestrator.bus.reach import Host
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.text.addresses import check_host
 
@@ -10,6 +11,7 @@ MAX_ENDPOINTS = 8
 MAX_SOCKET_PATH = 107  # bytes, of `sun_path` on Linux (unix(7))
 
 _NETWORK = re.compile(r"(?:tcp|tls|udp|quic|ws)/(\[[0-9a-fA-F:%.]+\]|[^\s/:,]+):(\d{1,5})")
+_CONNECTED = ("tcp/", "tls/", "ws/")
 _SOCKET = "unixsock-stream/"
 _LOCAL = re.compile(rf"{_SOCKET}[^\s,]+")
 _LOOPBACK = re.compile(r"127\.\d+\.\d+\.\d+|localhost|\[::1\]")
@@ -52,6 +54,14 @@ def is_private(endpoint: str) -> bool:
     """Whether no other computer reaches a router that listens there: a loopback address, or a socket in a folder."""
     match = _parse(endpoint)
     return is_socket(endpoint) if match is None else _LOOPBACK.fullmatch(match[1]) is not None
+
+
+def find_host(endpoint: str) -> Host | None:
+    """Where the router takes connections; None: it takes datagrams, and cannot be asked."""
+    match = _parse(endpoint)
+    if match is None:
+        return Host(socket_path(endpoint))
+    return Host(match[1].strip("[]"), match[2]) if endpoint.startswith(_CONNECTED) else None
 
 
 def uses_tls(endpoint: str) -> bool:

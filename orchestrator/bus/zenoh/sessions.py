@@ -17,9 +17,10 @@ from types import TracebackType
 
 import zenoh
 
-from orchestrator.bus.endpoint import is_private, is_socket, socket_path, split_endpoints, uses_tls
+from orchestrator.bus.endpoint import find_host, is_private, is_socket, socket_path, split_endpoints, uses_tls
 from orchestrator.bus.identity import VARIABLE, BadIdentity, Identity, find_identity, read_identity
 from orchestrator.bus.limits import MAX_MESSAGE_BYTES
+from orchestrator.bus.reach import find_living
 from orchestrator.bus.tls_probe import probe_tls
 from orchestrator.model.errors import TuttiError
 
@@ -30,7 +31,12 @@ _RETRY_CONFIG = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_fa
 """Zenoh's own retry periods grow to 4 s. A restarted router on the same host should be found sooner."""
 
 _ATTEMPT_S = 1.0
-"""Of several routers, how long one is waited for before the next one is tried."""
+_ATTEMPT_GROWTH = 1.5
+"""Of several routers, how long one is waited for before the next one is tried: longer each time, for one that is
+busy."""
+
+_LIVING_S = 0.3
+"""For those that take connections to do so; they are tried first."""
 
 _OPEN_MS = 2000
 """The same when a session connects again: Zenoh's own 10 s are long for a host whose router is dead."""
@@ -67,7 +73,8 @@ def _to_config(settings: Mapping[str, object]) -> zenoh.Config:
 
 def open_session(endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S) -> zenoh.Session:
     """Open a client session through the router at `endpoint`, e.g. `tcp/127.0.0.1:7447`. Blocks until it is
-    connected. Of several endpoints, separated by commas, the first one that answers is used.
+    connected. Of several endpoints, separated by commas, the first one that answers is used, in their order; one whose
+    computer is dead is not waited for.
 
     When the router goes away and comes back, or another one of the endpoints is there, Zenoh reconnects and declares
     everything again. Raises `RouterUnreachable` after `timeout_s`, `BadEndpoint`, and `BadIdentity`.
@@ -75,14 +82,16 @@ def open_session(endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S) -> zenoh.S
     endpoints = split_endpoints(endpoint)
     identity = require_identity(endpoint) if any(map(uses_tls, endpoints)) else None
     until_s = time.monotonic() + timeout_s
+    attempt_s = _ATTEMPT_S if len(endpoints) > 1 else timeout_s
     while True:
+        # At the first connection Zenoh waits for the first endpoint alone.
+        endpoints = _put_living_first(endpoints, min(_LIVING_S, timeout_s / 2))
         left_s = until_s - time.monotonic()
         try:
-            return zenoh.open(_make_client_config(endpoints, identity, min(left_s, _limit_attempt(endpoints))))
+            return zenoh.open(_make_client_config(endpoints, identity, min(left_s, attempt_s)))
         except zenoh.ZError as error:
             if until_s - time.monotonic() > 0.05 and len(endpoints) > 1:
-                # At the first connection Zenoh waits for the first endpoint alone.
-                endpoints = [*endpoints[1:], endpoints[0]]
+                endpoints, attempt_s = [*endpoints[1:], endpoints[0]], _ATTEMPT_GROWTH * attempt_s
                 continue
             raise RouterUnreachable(_explain_absence(endpoint, timeout_s, identity)) from error
 
@@ -99,8 +108,13 @@ def require_identity(endpoint: str) -> Identity:
     return identity
 
 
-def _limit_attempt(endpoints: list[str]) -> float:
-    return _ATTEMPT_S if len(endpoints) > 1 else float("inf")
+def _put_living_first(endpoints: list[str], limit_s: float) -> list[str]:
+    """Those first, in their order, that take connections, or cannot be asked."""
+    if len(endpoints) < 2:
+        return endpoints
+    hosts = {endpoint: find_host(endpoint) for endpoint in endpoints}
+    living_hosts = find_living([host for host in hosts.values() if host is not None], limit_s)
+    return sorted(endpoints, key=lambda endpoint: hosts[endpoint] is not None and hosts[endpoint] not in living_hosts)
 
 
 def _make_client_config(endpoints: list[str], identity: Identity | None, timeout_s: float) -> zenoh.Config:
