@@ -2,7 +2,7 @@
 
 import re
 
-from orchestrator.bus.reach import Host
+from orchestrator.bus.hosts_live import Host
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.text.addresses import check_host
 

@@ -18,9 +18,9 @@ from types import TracebackType
 import zenoh
 
 from orchestrator.bus.endpoint import find_host, is_private, is_socket, socket_path, split_endpoints, uses_tls
+from orchestrator.bus.hosts_live import find_living
 from orchestrator.bus.identity import VARIABLE, BadIdentity, Identity, find_identity, read_identity
 from orchestrator.bus.limits import MAX_MESSAGE_BYTES
-from orchestrator.bus.reach import find_living
 from orchestrator.bus.tls_probe import probe_tls
 from orchestrator.model.errors import TuttiError
 

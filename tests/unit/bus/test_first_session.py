@@ -8,7 +8,7 @@ import zenoh
 from unit.silent_ports import be_silent, listen, refuse
 
 from orchestrator.bus.endpoint import find_host
-from orchestrator.bus.reach import Host
+from orchestrator.bus.hosts_live import Host
 from orchestrator.bus.zenoh.sessions import open_session
 
 

@@ -3,7 +3,7 @@ take two seconds, for as long as it is dead."""
 
 from psycopg.conninfo import conninfo_to_dict, make_conninfo
 
-from orchestrator.bus.reach import Host, find_living
+from orchestrator.bus.hosts_live import Host, find_living
 
 DEFAULT_PORT = "5432"
 
