@@ -91,12 +91,11 @@ async def run_coordinator(options: argparse.Namespace, *, urgent: bool) -> int:
                 fleet = load_fleet(options.fleet)
                 return await _lead(options, fleet, life)
             except JournalError as error:
-                # While a database fails over, it does not answer. One that never did may have a wrong address.
-                is_tried_again = options.standby and is_address(options.journal) and life.is_ready
                 if isinstance(error, HistoryLost):
                     await _report_lost_history(error, options, fleet, life)
                     raise
-                if not is_tried_again:
+                # While a database fails over, it does not answer. One that never did may have a wrong address.
+                if not (options.standby and is_address(options.journal) and life.is_ready):
                     raise
                 if str(error) != obstacle:
                     obstacle = str(error)

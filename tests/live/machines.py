@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 from children import wait_until
-from fleet import COMMAND, EXAMPLES, Entry, ReachedFleet
+from fleet import COMMAND, EXAMPLES
 from parts import Part
+from shared_fleet import NAMES, LedFleet
 from unit.journal.servers import Place, PostgresServer, find_programs
 
 from orchestrator.clock.live import raw_ns
@@ -23,7 +24,7 @@ from orchestrator.model.queue import JournalPolicy
 
 NETWORK = "198.18.77"  # RFC 2544: of no real network
 NUMBERS = {"a": 1, "b": 2, "c": 3}
-LEADING: tuple[str, ...] = ("a", "b")
+LEADING: tuple[str, ...] = NAMES
 ROUTER_PORT, SERVER_PORT = 7447, 5432
 BRIDGE = "tutti-br"
 
@@ -86,7 +87,7 @@ def find_place(computer: str) -> Place:
     return Place(name_namespace(computer), f"{NETWORK}.{NUMBERS[computer]}", SERVER_PORT)
 
 
-class Machines(ReachedFleet):
+class Machines(LedFleet):
     """The demo fleet on three computers, with its journal on two of them."""
 
     def __init__(self, folder: Path) -> None:
@@ -200,19 +201,6 @@ class Machines(ReachedFleet):
             return self.ask(lambda tutti: tutti.list_jobs(limit=1)).journal or ""
         except Refusal:
             return ""
-
-    def log(self, name: str) -> list[Entry]:
-        """The log of a process; `coordinator`: of both, in their order."""
-        if name != "coordinator":
-            return super().log(name)
-        return sorted((entry for each in LEADING for entry in self.log_of(each)), key=lambda entry: entry["utc"])
-
-    def log_of(self, computer: str) -> list[Entry]:
-        return ReachedFleet(self.folder, self.endpoint, self.folder / computer).log("coordinator")
-
-    def find_leader(self) -> str:
-        """The computer whose coordinator has the newest epoch."""
-        return max(LEADING, key=lambda name: max((entry.get("epoch") or 0 for entry in self.log_of(name)), default=0))
 
     def read_output(self, computer: str, kind: str) -> str:
         return self._parts[computer, kind].said.read_text()

@@ -12,8 +12,25 @@ from orchestrator.model.queue import JournalPolicy
 NAMES = ("a", "b")
 
 
-class SharedFleet(ReachedFleet):
-    """The demo fleet with two coordinators. journal: the address of the database. policy: of the fleet file."""
+class LedFleet(ReachedFleet):
+    """The demo fleet with two coordinators, each with a folder of its name."""
+
+    def log(self, name: str) -> list[Entry]:
+        """The log of a process; `coordinator`: of both, in their order."""
+        if name != "coordinator":
+            return super().log(name)
+        return sorted((entry for each in NAMES for entry in self.log_of(each)), key=lambda entry: entry["utc"])
+
+    def log_of(self, coordinator: str) -> list[Entry]:
+        return ReachedFleet(self.folder, self.endpoint, self.folder / coordinator).log("coordinator")
+
+    def find_leader(self) -> str:
+        """The coordinator with the newest epoch."""
+        return max(NAMES, key=lambda name: max((entry.get("epoch") or 0 for entry in self.log_of(name)), default=0))
+
+
+class SharedFleet(LedFleet):
+    """The fleet on one computer. journal: the address of the database. policy: of the fleet file."""
 
     def __init__(self, folder: Path, journal: str, policy: JournalPolicy) -> None:
         super().__init__(folder, f"tcp/127.0.0.1:{free_port()}", folder / "host")
@@ -40,23 +57,6 @@ class SharedFleet(ReachedFleet):
         """Start a coordinator which leads as soon as no other one does."""
         place = ("--journal", self._journal, "--connect", self.endpoint, "--state", str(self.folder / name))
         self._start(name, "coordinator", str(self._file), *place)
-
-    def log(self, name: str) -> list[Entry]:
-        """The log of a process; `coordinator`: of both, in their order."""
-        if name != "coordinator":
-            return super().log(name)
-        return sorted((entry for each in NAMES for entry in self.log_of(each)), key=lambda entry: entry["utc"])
-
-    def log_of(self, coordinator: str) -> list[Entry]:
-        return ReachedFleet(self.folder, self.endpoint, self.folder / coordinator).log("coordinator")
-
-    def find_leader(self) -> str:
-        """The coordinator with the newest epoch."""
-
-        def find_epoch(name: str) -> int:
-            return max((entry.get("epoch") or 0 for entry in self.log_of(name)), default=0)
-
-        return max(NAMES, key=find_epoch)
 
     def close(self) -> None:
         for part in reversed(self.parts.values()):

@@ -102,8 +102,9 @@ def test_another_encoding_and_a_version_that_is_too_old(desk: Desk, monkeypatch:
 
 def test_settings_of_the_site_do_not_change_the_journal(desk: Desk) -> None:
     for setting in ("timezone = 'Asia/Tokyo'", "search_path = 'public'", "statement_timeout = 1", "lock_timeout = 1"):
-        desk.execute(f"ALTER DATABASE {desk.database} SET {setting}")
-    desk.execute(f"ALTER DATABASE {desk.database} SET synchronous_commit = off")
+        # By a session of another database: in one of this, the timeouts would count for what follows.
+        desk.server.execute(f"ALTER DATABASE {desk.database} SET {setting}")
+    desk.server.execute(f"ALTER DATABASE {desk.database} SET synchronous_commit = off")
     journal = desk.open()
     assert journal.accept_job("a", "a", JOB, utc(1)) == ("a", True)
     rows = journal.database.select("SELECT current_setting('timezone'), current_setting('synchronous_commit')")

@@ -64,9 +64,8 @@ class PostgresDatabase:
         self.session.close()
 
     def select(self, statement: str, values: Row = ()) -> list[Any]:
-        if self._transaction is None:
-            return self._read_alone(Statement(statement, values))
-        return self._transaction.read(Statement(statement, values))
+        read = self._read_alone if self._transaction is None else self._transaction.read
+        return read(Statement(statement, values))
 
     def stream(self, statement: str, values: Row = ()) -> Iterator[Any]:
         """Only in a transaction, and one at a time."""
@@ -138,8 +137,6 @@ class PostgresDatabase:
     @contextmanager
     def snapshot(self) -> Generator[None]:
         """All that is read inside is as it was at one instant; nothing is written."""
-        if self._required_epoch is not None:
-            self.require_epoch(self._required_epoch)
         transaction = self._transaction = Transaction(self.session, None, SNAPSHOT)
         try:
             yield

@@ -1,11 +1,11 @@
 """What a database promises: how many machines have what was committed, and what is wrong with its settings."""
 
 from datetime import UTC, datetime
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from orchestrator.coordinator.journal.postgres.session import Session, Statement
+from orchestrator.model.queue import CopyMode
 
-CopyMode = Literal["one copy", "two copies", "waits for a copy"]
 MOST_CLOCK_S = 1.0  # between this computer's clock and the server's
 
 _READ = Statement(
@@ -33,9 +33,9 @@ class JournalHealth(NamedTuple):
     """What a database says of itself.
 
     server_commit: `synchronous_commit` as the server gives it to a session; session_commit: as this one has it.
-    standbys: those that confirm commits, and have those of before. followers: all that copy from
-    it. timeline: counts up with each promotion; 0 in
-    recovery. system: the same for a primary and its standbys. clock_s: the server's clock, less this computer's.
+    standbys: those that confirm commits, and have those of before. followers: all that copy from it. timeline: counts
+    up with each promotion; 0 in recovery. system: the same for a primary and its standbys. clock_s: the server's clock,
+    less this computer's.
     """
 
     version: str

@@ -137,8 +137,9 @@ def open_session(place: FleetDatabase, role: str) -> Session:
 def require_newest_line(place: FleetDatabase, session: Session) -> None:
     """Raises `HistoryLost` if another host of the address is a primary of a newer line than that of the session. A host
     that does not answer cannot be asked."""
-    own_line = session.line
-    for address in split_hosts(place.address) if own_line is not None else ():
+    if (own_line := session.line) is None:
+        return
+    for address in split_hosts(place.address):
         if not takes_connections(address.conninfo, ANSWER_S):
             continue
         session_there = open_session(place._replace(address=address, seen_line=None, deadline_s=PROBE_S), TOOL)
@@ -148,7 +149,7 @@ def require_newest_line(place: FleetDatabase, session: Session) -> None:
             continue
         finally:
             session_there.close()
-        if own_line is not None and session_there.line is not None and session_there.line.timeline:
+        if session_there.line is not None and session_there.line.timeline:
             own_line.require_not_older(session_there.line)
 
 

@@ -7,9 +7,10 @@ is lost for the newer one: a journal never goes back to it, and no coordinator l
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from psycopg.conninfo import conninfo_to_dict, make_conninfo
+from psycopg.conninfo import make_conninfo
 
 from orchestrator.coordinator.journal.postgres.address import JournalAddress
+from orchestrator.coordinator.journal.postgres.reach import list_hosts
 from orchestrator.coordinator.journal.records import HistoryLost
 
 _REMEDY = "end the older server, or make it a standby of the newer one (pg_rewind), and see what was written to it"
@@ -47,13 +48,10 @@ class SeenLine:
 
 def split_hosts(address: JournalAddress) -> Sequence[JournalAddress]:
     """The address of each host of an address alone, whatever it takes."""
-    settings = conninfo_to_dict(address.conninfo)
-    hosts, ports = (str(settings.get(key) or "").split(",") for key in ("host", "port"))
-    ports = ports if len(ports) == len(hosts) else ports[:1] * len(hosts)
     return [
         JournalAddress(
-            make_conninfo(address.conninfo, host=host, port=port or None, target_session_attrs="any"),
-            f"postgresql://{host}:{port}" if port else f"postgresql://{host}",
+            make_conninfo(address.conninfo, host=name, port=port, target_session_attrs="any"),
+            f"postgresql://{name}:{port}",
         )
-        for host, port in zip(hosts, ports, strict=True)
+        for name, port in list_hosts(address.conninfo)
     ]

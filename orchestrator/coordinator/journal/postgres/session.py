@@ -62,11 +62,7 @@ class Session:
     session on the server; changed, there as well, by what takes an epoch or renews its lease."""
 
     def __init__(
-        self,
-        address: JournalAddress,
-        application: str,
-        settings: str,
-        deadline_s: float = DEADLINE_S,
+        self, address: JournalAddress, application: str, settings: str, deadline_s: float = DEADLINE_S
     ) -> None:
         self.name = address.text
         self.application = application
