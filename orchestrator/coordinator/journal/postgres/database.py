@@ -64,8 +64,9 @@ class PostgresDatabase:
         self.session.close()
 
     def select(self, statement: str, values: Row = ()) -> list[Any]:
-        read = self._read_alone if self._transaction is None else self._transaction.read
-        return read(Statement(statement, values))
+        if self._transaction is None:
+            return self._read_alone(Statement(statement, values))
+        return self._transaction.read(Statement(statement, values))
 
     def stream(self, statement: str, values: Row = ()) -> Iterator[Any]:
         """Only in a transaction, and one at a time."""
