@@ -2,19 +2,23 @@
 
 import signal
 import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+import zenoh
 from children import LIMIT_S, wait_until
 from fleet import COMMAND, EXAMPLES, READY, RunningFleet, free_port, margin_s
 
-from orchestrator.bus.zenoh.sessions import open_session
+from orchestrator.bus.zenoh.sessions import open_router, open_session
 from orchestrator.client import Tutti
 from orchestrator.clock.live import raw_ns
 from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.state import ControllerState
 
-pytestmark = [pytest.mark.live, pytest.mark.nightly]
+pytestmark = pytest.mark.live
 LOST_S, OPEN_S, BUSY_S = 10.0, 2.0, 3.0
 
 
@@ -34,6 +38,7 @@ def write_fleet(folder: Path, routers: list[str]) -> Path:
     return path
 
 
+@pytest.mark.nightly
 def test_a_fleet_goes_on_through_its_second_router(tmp_path: Path) -> None:
     """Sessions are back before the coordinator counts as lost, or the axes stop; either way the fleet works on."""
     first, second = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
@@ -64,6 +69,7 @@ def test_a_fleet_goes_on_through_its_second_router(tmp_path: Path) -> None:
             each.wait(LIMIT_S)
 
 
+@pytest.mark.nightly
 def test_a_session_does_not_wait_for_a_router_that_is_silent(tmp_path: Path) -> None:
     """Zenoh notices after 10 s that it is, and would then wait as long for it to open a session again."""
     first, second = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
@@ -81,3 +87,63 @@ def test_a_session_does_not_wait_for_a_router_that_is_silent(tmp_path: Path) -> 
         for each in routers:
             each.terminate()
             each.wait(LIMIT_S)
+
+
+KEY = "demo/ctl/gantry/cmd/info"
+
+
+@contextmanager
+def relay_to(port: int) -> Iterator[tuple[int, "subprocess.Popen[str]"]]:
+    """A relay to a port of this computer: its own port, and its process, which takes commands."""
+    own = free_port()
+    words = [sys.executable, str(Path(__file__).parent / "relay.py"), str(own), "127.0.0.1", str(port)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None and process.stdout.readline() == "ready\n"
+            yield own, process
+        finally:
+            process.terminate()
+
+
+def say(relay: "subprocess.Popen[str]", word: str) -> None:
+    assert relay.stdin is not None and relay.stdout is not None
+    relay.stdin.write(f"{word}\n")
+    relay.stdin.flush()
+    assert relay.stdout.readline() == f"{word}\n"
+
+
+def serve(session: zenoh.Session, name: str) -> "zenoh.Queryable[None]":
+    """Serve the controllers of a host, as each host of a fleet without keys does: with one key expression for all."""
+
+    def answer(query: zenoh.Query) -> None:
+        query.reply(KEY, name)
+
+    return session.declare_queryable("demo/ctl/**", answer)
+
+
+def ask(session: zenoh.Session) -> set[str]:
+    every = {"target": zenoh.QueryTarget.ALL, "consolidation": zenoh.ConsolidationMode.NONE}
+    replies = session.get(KEY, timeout=LIMIT_S, **every)
+    return {reply.ok.payload.to_string() for reply in replies if reply.ok is not None}
+
+
+def test_what_two_hosts_served_is_served_on_when_one_has_ended_and_the_link_is_lost() -> None:
+    """The router of the one that ended learns of the other one again."""
+    first, second = free_port(), free_port()
+    with (
+        relay_to(second) as (relayed, relay),
+        open_router(f"tcp/127.0.0.1:{first}", links=f"tcp/127.0.0.1:{relayed}"),
+        open_router(f"tcp/127.0.0.1:{second}"),
+        open_session(f"tcp/127.0.0.1:{first}") as asking,
+        open_session(f"tcp/127.0.0.1:{first}") as ending,
+        open_session(f"tcp/127.0.0.1:{second}") as staying,
+    ):
+        left, right = serve(ending, "left"), serve(staying, "right")
+        wait_until(lambda: ask(asking) == {"left", "right"}, "both answer")
+        left.undeclare()
+        wait_until(lambda: ask(asking) == {"right"}, "one answers")
+        say(relay, "cut")
+        wait_until(lambda: not ask(asking), "the link is lost")
+        say(relay, "mend")
+        wait_until(lambda: ask(asking) == {"right"}, "the one that stayed answers again")
+        right.undeclare()
