@@ -2,6 +2,7 @@
 
 import psycopg
 
+from orchestrator.coordinator.journal.postgres.certificate import find_certificate_reason
 from orchestrator.coordinator.journal.records import BRING_BACK_DATABASE, JournalError
 
 
@@ -20,12 +21,19 @@ _PRIMARY = "name the primary in the address, or promote this one"
 _FULL = "the server has no connection left"
 _SESSIONS = "end sessions, or raise max_connections there"
 _BUSY = "another session was in the way"
+_CERTIFICATE = "its certificate is not accepted"
 
 # Of a connection there is no code, only the server's text. The first that is in it counts.
 _REFUSED = (
     ("password", "the password is wrong or missing", "put it into ~/.pgpass, or name its file by PGPASSFILE"),
     ("pg_hba.conf", "the server does not let this user or computer in", "add a line for it to pg_hba.conf there"),
-    ("certificate", "its certificate is not accepted", "see sslrootcert and sslmode of the address, and its expiry"),
+    ("has expired", _CERTIFICATE, "renew it on the server, or set the clock of this computer"),
+    ("is not yet valid", _CERTIFICATE, "set the clock of this computer"),
+    ("client certificate", "the server asks for a certificate of ours", "name it in the address: sslcert=…&sslkey=…"),
+    ("root certificate file", "the file of its authority is missing", "name it in the address: sslrootcert=FILE"),
+    ("match host name", _CERTIFICATE, "use a name of the certificate; hostaddr=… has the place then"),
+    ("certificate", _CERTIFICATE, "name the file of its authority in the address: sslrootcert=FILE"),
+    ("not support SSL", "it has no TLS, and the address asks for it", "set ssl = on there, or change sslmode"),
     ("too many", _FULL, _SESSIONS),
     ("connection slots", _FULL, _SESSIONS),
     ('" does not exist', "its user or its database does not exist", "`createuser USER`, `createdb -E UTF8 DATABASE`"),
@@ -56,9 +64,11 @@ _STATES = {
 }
 
 
-def make_refused_error(name: str, error: Exception) -> JournalError:
+def make_refused_error(name: str, error: Exception, conninfo: str) -> JournalError:
     """The error for a connection that was refused, or not answered."""
     text = _flatten(error)
+    if reason := find_certificate_reason(conninfo, text):
+        text = f"failed: {reason}"
     for pattern, problem, remedy in _REFUSED:
         if pattern in text:
             return JournalError(f"{name}: {problem} ({_find_reason(text)})", remedy)

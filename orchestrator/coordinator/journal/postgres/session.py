@@ -147,7 +147,7 @@ class Session:
             conninfo = put_living_first(self._conninfo, min(ANSWER_S, self.deadline_s / 2))
             connection = _Connection.connect(conninfo, autocommit=True, application_name=self.application)
         except (psycopg.Error, UnicodeError) as error:  # the latter of the name of a host
-            raise make_refused_error(self.name, error) from None
+            raise make_refused_error(self.name, error, self._conninfo) from None
         self._connection = connection
         try:
             self._require_usable(connection)
