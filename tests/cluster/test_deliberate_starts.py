@@ -7,9 +7,11 @@ from typing import Any
 import pytest
 from cluster.worlds import PREPARE, begin_ready, demo_fleet, job, outcome, run_fleet
 
+from orchestrator.bus.estop import put_estop
 from orchestrator.client.api import Tutti
 from orchestrator.client.ready import ReadyToBegin
 from orchestrator.client.results import JobResult
+from orchestrator.coordinator.jobs.queue.conditions import ESTOP_VISIBLE_NS
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit, QueuePolicy
 from orchestrator.model.jobs.restart import RESTART, StartPreview
@@ -128,6 +130,36 @@ def test_other_controllers_are_not_concerned_and_time_and_jobs_need_no_word() ->
         assert (await find_entry(client, waiting)).state == "queued"
 
     run_fleet(main, guarded(Permit(input="gantry.door", value=False, axes=["gantry"])))
+
+
+def test_a_job_that_comes_just_after_a_reset_has_waited_for_nothing() -> None:
+    """However quickly it was reset: the coordinator has received both latch and reset of each controller."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client = fleet.make_client("anna")
+        pressed_ns = fleet.clock.now_ns()
+        assert all((await client.estop("a test")).values())
+        assert not any((await client.reset()).values())
+        await fleet.wait_until(lambda states: all(state.estop is None for state in states.values()))
+        await client.start_queue()
+        entry = await client.enqueue_job(job("[{do: enable, axes: [gantry.x]}, {do: home, axes: [gantry.x]}]"))
+        assert fleet.clock.now_ns() - pressed_ns < ESTOP_VISIBLE_NS
+        assert entry.reason == "submitted" and (await client.wait_for_job(entry.id)).state == "done"
+
+    run_fleet(main, guarded())
+
+
+def test_a_job_waits_for_an_e_stop_that_its_controllers_do_not_show_yet() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client = fleet.make_client("anna")
+        put_estop(client.bus, client.keys.fleet, "e1", "anna", "a test")
+        await client.start_queue()
+        entry = await client.enqueue_job(SHORT)
+        assert entry.reason.startswith("waits for: e-stop by anna: a test")
+
+    run_fleet(main, guarded())
 
 
 def test_a_submission_says_at_once_what_it_waits_for() -> None:

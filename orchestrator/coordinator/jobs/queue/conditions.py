@@ -14,12 +14,12 @@ from orchestrator.coordinator.leadership.copies import CopyWatch
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import EPOCH_REMEDY, MAX_EPOCH_STEP
 from orchestrator.model.names import split_name
-from orchestrator.model.state import AxisState, ControllerState
+from orchestrator.model.state import AxisState, ControllerState, EstopLatch
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.tree import iterate_steps
 
 ADOPTION_NS = 3 * NS_PER_S  # for a new leader to receive the states of all controllers, and to adopt them
-ESTOP_VISIBLE_NS = NS_PER_S  # after an e-stop; by then every adapter has published its latch
+ESTOP_VISIBLE_NS = NS_PER_S  # after an e-stop, for every adapter to publish its latch
 _SAFE = "make the machine safe, then `tutti reset`"
 
 
@@ -35,6 +35,17 @@ class Obstacle:
 
     def describe(self) -> str:
         return f"{self.text}; {self.remedy}" if self.remedy else self.text
+
+
+@dataclass(frozen=True, slots=True)
+class ReceivedEstop:
+    """An e-stop that was received. unseen: controllers whose states have not shown that latch yet; until then, and at
+    most until `until_ns`, their states of before it count for nothing."""
+
+    event: str
+    text: str
+    until_ns: int
+    unseen: set[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +101,8 @@ class WorldConditions:
         self._leadership = fleet.requests.leadership
         self._permits = fleet.permits
         self._clock = fleet.clock
-        self._estop: tuple[int, str] | None = None
+        self._estop: ReceivedEstop | None = None
+        fleet.view.add_state_listener(self._note_latch)
         self._since_ns = fleet.clock.now_ns()
 
     @property
@@ -98,9 +110,17 @@ class WorldConditions:
         """Whether the fleet file asks for a word once a cause is gone."""
         return self._view.fleet.queue.on_clear == "ask"
 
-    def note_estop(self, reason: str) -> None:
+    def note_estop(self, latch: EstopLatch, text: str) -> None:
         """An e-stop was received: adapters publish that they have latched it a moment later."""
-        self._estop = self._clock.now_ns() + ESTOP_VISIBLE_NS, reason
+        self._estop = ReceivedEstop(
+            latch.event, text, self._clock.now_ns() + ESTOP_VISIBLE_NS, set(self._view.fleet.controllers)
+        )
+        for state in self._view.arrived_states.values():  # of an e-stop that is sent again
+            self._note_latch(state)
+
+    def _note_latch(self, state: ControllerState) -> None:
+        if self._estop is not None and state.estop is not None and state.estop.event == self._estop.event:
+            self._estop.unseen.discard(state.controller)
 
     def find_obstacle(self, needs: JobNeeds) -> Obstacle | None:
         """The first condition that does not hold; None: the job can begin."""
@@ -116,8 +136,9 @@ class WorldConditions:
         return replace(obstacle, asks=self._asks and not is_new and obstacle.code != "not-adopted")
 
     def _find_obstacle(self, needs: JobNeeds) -> Obstacle | None:
-        if needs.moves and self._estop is not None and self._clock.now_ns() < self._estop[0]:
-            return Obstacle("estop-latched", self._estop[1], _SAFE)
+        estop = self._estop
+        if needs.moves and estop and self._clock.now_ns() < estop.until_ns and needs.controllers & estop.unseen:
+            return Obstacle("estop-latched", estop.text, _SAFE)
         for controller in sorted(needs.controllers):
             obstacle = self._find_controller_obstacle(controller, moves=needs.moves)
             if obstacle is not None:

@@ -9,9 +9,8 @@ queue, `queue_gate` whether any begins; `job_run` executes one, and `ends` recor
 import asyncio
 from collections.abc import Mapping
 
-from pydantic import ValidationError
-
 from orchestrator.bus.base import BusDeclaration, BusSample
+from orchestrator.bus.latch import read_estop
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.coordinator.jobs.queue.attendance import SessionMonitor
 from orchestrator.coordinator.jobs.queue.conditions import Obstacle, WorldConditions
@@ -30,7 +29,7 @@ from orchestrator.coordinator.jobs.run.outcome import JobInterrupted, JobOutcome
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JobHasEnded, JobRecord, JournalError
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.messages import EstopMessage, StopMode
+from orchestrator.model.messages import StopMode
 from orchestrator.model.queue import APPROVAL, QueueTerms
 
 SCHEDULE_DELAY_PER_JOB_NS = 20 * NS_PER_US  # per job
@@ -278,13 +277,9 @@ class Scheduler:
 
     def _receive_estop(self, sample: BusSample) -> None:
         """After an e-stop nothing begins by itself when it is reset: neither jobs nor steps."""
-        try:
-            estop = EstopMessage.read_message(sample.payload)
-            actor, detail = estop.actor, f": {estop.reason}" if estop.reason else ""
-        except ValidationError:
-            actor, detail = "an e-stop", ""
-        reason = f"e-stop by {actor}{detail}"
+        estop = read_estop(sample.payload, self._services.clock.utc())
+        reason = f"e-stop by {estop.actor}" + f": {estop.reason}" * bool(estop.reason)
         for run in self.register.running.values():
-            run.abandon(JobInterrupted("aborted", reason, actor))
-        self._conditions.note_estop(reason)
-        self.gate.stop_queue(reason, actor)
+            run.abandon(JobInterrupted("aborted", reason, estop.actor))
+        self._conditions.note_estop(estop, reason)
+        self.gate.stop_queue(reason, estop.actor)
