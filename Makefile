@@ -155,7 +155,7 @@ test-docs: $(DEV)/.stamp
 	$(DEV)/bin/python tools/reference_pages.py --check
 	$(DEV)/bin/python tools/licences.py --check
 	$(DEV)/bin/python tools/integration_matrix.py --check
-	$(DEV)/bin/pytest tests/live/test_documents.py -n 2 --dist loadgroup $(SLOWEST)
+	$(DEV)/bin/pytest tests/live/test_documents_motion.py tests/live/test_documents_operation.py -n 2 --dist loadfile $(SLOWEST)
 
 # What setuptools has left from another build would come into the wheel.
 test-wheel: $(DEV)/.stamp $(WHEEL)/.stamp page

@@ -1,26 +1,27 @@
-"""The command blocks of the tutorials and how-to pages, run unchanged against a simulated fleet."""
+"""The command blocks of the tutorials and how-to pages, run unchanged against a simulated fleet.
+
+They wait for motion half of the time, so `make test-docs` runs the two modules that have them side by side, each with a
+fleet. Within a module they run in reading order: each page finds the fleet as the page before has left it.
+"""
 
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from children import wait_until
 from fleet import RunningFleet
-from pages import ECOSYSTEM_PAGES, OWN_PAGES, commands, programs
+from pages import commands, programs
 
 from orchestrator.model.report import FINISHED_STATES
 
-pytestmark = [pytest.mark.live, pytest.mark.nightly]
-
-ROOT = Path(__file__).parents[2]
-PAGE_S = 240.0
-# In reading order: each page finds the fleet as the previous one of its half left it.
-FIRST_HALF = (
+MOTION = (
     "tutorial/first-quarter-hour.md",
     "tutorial/first-day.md",
     "tutorial/first-script.md",
@@ -36,7 +37,7 @@ FIRST_HALF = (
     "how-to/run-a-program-from-cam.md",
     "how-to/use-templates.md",
 )
-SECOND_HALF = (
+OPERATION = (
     "how-to/name-positions.md",
     "how-to/work-with-the-queue.md",
     "how-to/record-and-export.md",
@@ -52,12 +53,10 @@ SECOND_HALF = (
     "how-to/keep-axes-apart.md",
     "how-to/use-http.md",
 )
-# They wait for motion most of the time, so `make test-docs` runs both halves side by side, each with a fleet.
-PAGES = [
-    pytest.param(page, marks=pytest.mark.xdist_group(name))
-    for name, half in (("first", FIRST_HALF), ("second", SECOND_HALF))
-    for page in half
-]
+
+ROOT = Path(__file__).parents[2]
+PAGE_S = 240.0
+LIMITED = pytest.mark.timeout(PAGE_S + 60)
 
 
 def find_gateway(fleet: RunningFleet) -> str:
@@ -74,27 +73,20 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
         fleet.end()
 
 
-def test_every_page_with_commands_is_run() -> None:
-    pages = [*(ROOT / "docs" / "tutorial").glob("*.md"), *(ROOT / "docs" / "how-to").glob("*.md")]
-    with_commands = {str(page.relative_to(ROOT / "docs")) for page in pages if commands(page) or programs(page)}
-    assert with_commands == {*FIRST_HALF, *SECOND_HALF, *ECOSYSTEM_PAGES, *OWN_PAGES}
-
-
 def is_idle(fleet: RunningFleet) -> bool:
     """Whether no job of the page before is under way."""
     queue = fleet.ask(lambda tutti: tutti.list_jobs())
     return all(job.state in FINISHED_STATES or (job.state == "queued" and not job.ready) for job in queue.jobs)
 
 
-@pytest.mark.timeout(PAGE_S + 60)
-@pytest.mark.parametrize("page", PAGES)
-def test_the_commands_of_a_page_work(fleet: RunningFleet, page: str) -> None:
+def run_page(fleet: RunningFleet, page: str) -> None:
+    """Run all commands of a page, one after the other."""
     script = "\n".join(["set -eu", *commands(ROOT / "docs" / page), *programs(ROOT / "docs" / page)])
     if "curl " in script and shutil.which("curl") is None:
         pytest.skip("needs the command curl")
     script = script.replace("tcp/127.0.0.1:7447", fleet.endpoint)
     script = script.replace("127.0.0.1:8080", find_gateway(fleet))
-    # Both halves of the pages run at the same time, and some name the same file there.
+    # Other pages run at the same time, and some name the same file there.
     own_folder = fleet.folder / "tmp"
     own_folder.mkdir(exist_ok=True)
     script = re.sub(r"/tmp\b", str(own_folder), script)
@@ -112,7 +104,12 @@ def test_the_commands_of_a_page_work(fleet: RunningFleet, page: str) -> None:
         "TUTTI_CONNECT": fleet.endpoint,
         "XDG_STATE_HOME": str(state_home),
     }
-    done = subprocess.run(
-        ["bash", "-x", "-c", script], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=PAGE_S
-    )
-    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    words = ["bash", "-x", "-c", script]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(words, cwd=ROOT, env=environment, start_new_session=True, **pipes) as process:
+        try:
+            out, errors = process.communicate(timeout=PAGE_S)
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)  # a command that waits would outlive its shell
+    assert process.returncode == 0, out[-3000:] + errors[-3000:]
