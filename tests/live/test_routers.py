@@ -1,18 +1,20 @@
 """Two routers that carry for each other: one is lost while the fleet moves."""
 
+import asyncio
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
-import zenoh
 from children import LIMIT_S, wait_until
 from fleet import COMMAND, EXAMPLES, READY, RunningFleet, free_port, margin_s
 
-from orchestrator.bus.zenoh.sessions import open_router, open_session
+from orchestrator.bus.base import Bus, BusSample, NoReply, RequestTimeout
+from orchestrator.bus.zenoh.bus import open_bus
+from orchestrator.bus.zenoh.sessions import open_session
 from orchestrator.client import Tutti
 from orchestrator.clock.live import raw_ns
 from orchestrator.model.jobs.files import load_fleet
@@ -89,7 +91,7 @@ def test_a_session_does_not_wait_for_a_router_that_is_silent(tmp_path: Path) -> 
             each.wait(LIMIT_S)
 
 
-KEY = "demo/ctl/gantry/cmd/info"
+KEY, ASK_S = "demo/ctl/gantry/cmd/info", 1.0
 
 
 @contextmanager
@@ -112,38 +114,51 @@ def say(relay: "subprocess.Popen[str]", word: str) -> None:
     assert relay.stdout.readline() == f"{word}\n"
 
 
-def serve(session: zenoh.Session, name: str) -> "zenoh.Queryable[None]":
-    """Serve the controllers of a host, as each host of a fleet without keys does: with one key expression for all."""
-
-    def answer(query: zenoh.Query) -> None:
-        query.reply(KEY, name)
-
-    return session.declare_queryable("demo/ctl/**", answer)
+async def answer(_: BusSample) -> bytes:
+    return b"here"
 
 
-def ask(session: zenoh.Session) -> set[str]:
-    every = {"target": zenoh.QueryTarget.ALL, "consolidation": zenoh.ConsolidationMode.NONE}
-    replies = session.get(KEY, timeout=LIMIT_S, **every)
-    return {reply.ok.payload.to_string() for reply in replies if reply.ok is not None}
+async def wait_for(bus: Bus, *, served: bool, limit_s: float = LIMIT_S) -> None:
+    """Ask until the controllers of a host are served, or until they are not."""
+    async with asyncio.timeout(limit_s):
+        while True:
+            with suppress(NoReply, RequestTimeout):
+                await bus.request(KEY, b"", ASK_S)
+                if served:
+                    return
+                continue
+            if not served:
+                return
 
 
-def test_what_two_hosts_served_is_served_on_when_one_has_ended_and_the_link_is_lost() -> None:
-    """The router of the one that ended learns of the other one again."""
+def test_what_two_hosts_served_is_served_on_when_one_has_ended_and_the_link_is_lost(tmp_path: Path) -> None:
+    """Hosts of a fleet without keys serve all controllers with one key expression; the router of the one that has ended
+    learns of the other one again."""
     first, second = free_port(), free_port()
-    with (
-        relay_to(second) as (relayed, relay),
-        open_router(f"tcp/127.0.0.1:{first}", links=f"tcp/127.0.0.1:{relayed}"),
-        open_router(f"tcp/127.0.0.1:{second}"),
-        open_session(f"tcp/127.0.0.1:{first}") as asking,
-        open_session(f"tcp/127.0.0.1:{first}") as ending,
-        open_session(f"tcp/127.0.0.1:{second}") as staying,
-    ):
-        left, right = serve(ending, "left"), serve(staying, "right")
-        wait_until(lambda: ask(asking) == {"left", "right"}, "both answer")
-        left.undeclare()
-        wait_until(lambda: ask(asking) == {"right"}, "one answers")
-        say(relay, "cut")
-        wait_until(lambda: not ask(asking), "the link is lost")
-        say(relay, "mend")
-        wait_until(lambda: ask(asking) == {"right"}, "the one that stayed answers again")
-        right.undeclare()
+
+    async def main(relay: "subprocess.Popen[str]") -> None:
+        asking, ending = [await open_bus(f"tcp/127.0.0.1:{first}") for _ in range(2)]
+        staying = await open_bus(f"tcp/127.0.0.1:{second}")
+        try:
+            await staying.serve("demo/ctl/**", answer)
+            await wait_for(asking, served=True)
+            await (await ending.serve("demo/ctl/**", answer)).undeclare()
+            say(relay, "cut")
+            await wait_for(asking, served=False)
+            say(relay, "mend")
+            await wait_for(asking, served=True)
+        finally:
+            for bus in (asking, ending, staying):
+                await bus.close()
+
+    with relay_to(second) as (relayed, relay):
+        routers = [
+            start_router(tmp_path, f"tcp/127.0.0.1:{own}", f"tcp/127.0.0.1:{other}")
+            for own, other in ((first, relayed), (second, free_port()))
+        ]
+        try:
+            asyncio.run(main(relay))
+        finally:
+            for each in routers:
+                each.terminate()
+                each.wait(LIMIT_S)

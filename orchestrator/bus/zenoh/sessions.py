@@ -22,7 +22,6 @@ from orchestrator.bus.hosts_live import find_living
 from orchestrator.bus.identity import VARIABLE, BadIdentity, Identity, find_identity, read_identity
 from orchestrator.bus.limits import MAX_MESSAGE_BYTES
 from orchestrator.bus.tls_probe import probe_tls
-from orchestrator.bus.zenoh.links import ADMIN_SETTINGS, LinkRenewal
 from orchestrator.model.errors import TuttiError
 
 CONNECT_TIMEOUT_S = 5.0
@@ -158,7 +157,6 @@ class ZenohRouter:
     def __init__(self, endpoint: str, session: zenoh.Session) -> None:
         self.endpoint = endpoint
         self._session = session
-        self._renewal = LinkRenewal(session)
 
     def __enter__(self) -> "ZenohRouter":
         return self
@@ -171,7 +169,6 @@ class ZenohRouter:
     def close(self) -> None:
         """Stop routing. Does nothing the second time."""
         if not self._session.is_closed():
-            self._renewal.close()
             self._session.close()
 
 
@@ -203,7 +200,7 @@ def open_router(
             text = f"{part} would listen to the network without TLS"
             raise RouterRefused(f"{text}; use tcp/127.0.0.1:PORT, or tls/… with the fleet's keys (`tutti keys`)")
     try:
-        session = zenoh.open(_to_config({**make_router_settings(endpoint, security, links), **ADMIN_SETTINGS}))
+        session = zenoh.open(_to_config(make_router_settings(endpoint, security, links)))
         for part in filter(is_socket, split_endpoints(endpoint)):
             Path(socket_path(part)).chmod(0o600)
     except zenoh.ZError as error:
