@@ -30,7 +30,6 @@ from orchestrator.bus.outcome import RequestOutcome
 from orchestrator.bus.requesting import RequestingBus
 from orchestrator.bus.zenoh.answerer import REFUSED, QueryAnswerer, require_sendable
 from orchestrator.bus.zenoh.intake import PayloadIntake
-from orchestrator.bus.zenoh.renewal import ServiceRenewal
 from orchestrator.bus.zenoh.sessions import CONNECT_TIMEOUT_S, open_session
 from orchestrator.bus.zenoh.threads import LoopInbox, SenderThread, run_in_thread
 
@@ -111,7 +110,6 @@ class ZenohBus(RequestingBus):
         self._disconnects = 0
         self._asking: list[RequestOutcome] = []
         self._answerer = QueryAnswerer(self._loop, self._sure_sender)
-        self._renewal = ServiceRenewal(sure)
         # Held only so that it is not undeclared.
         self._transports = sure.info.declare_transport_events_listener(_make_direct_callback(self._transport_event))
 
@@ -188,7 +186,6 @@ class ZenohBus(RequestingBus):
             lambda: self._sure.declare_queryable(expression, _make_direct_callback(receive_query), complete=False)
         )
         declaration.attach(queryable.undeclare)
-        self._renewal.add(declaration, expression)
         return declaration
 
     def _take_answer(
@@ -324,7 +321,6 @@ class ZenohBus(RequestingBus):
             outcome.end_by_error(BusClosed(f"the bus was closed during a request for {outcome.key}"))
         self._answerer.cancel_all()
         self._inbox.close()
-        await self._renewal.close()
         is_stuck = await run_in_thread("bus-close", self._flush_senders)
         closings = threading.Semaphore(0)
 
