@@ -120,6 +120,10 @@ class EstopLatch(Model):
     reason: str
     utc: str
 
+    def describe(self) -> str:
+        """What has sent it, and why."""
+        return f"e-stop by {self.actor}: {self.reason}" if self.reason else f"e-stop by {self.actor}"
+
 
 class TimeInterval(Model):
     """An instant of fleet time that is known only as an interval; the true instant is inside, ends included."""

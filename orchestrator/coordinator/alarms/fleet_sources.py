@@ -127,8 +127,7 @@ class FleetAlarms:
         if latch is None:
             self._estops.pop(state.controller, None)
         else:
-            reason = f": {latch.reason}" if latch.reason else ""
-            self._estops[state.controller] = f"e-stop by {latch.actor}{reason}"
+            self._estops[state.controller] = latch.describe()
         other_controllers = self._view.fleet.controllers.keys() - self._seen.keys()
         if not self._estops and not all(map(self._view.is_silent, other_controllers)):
             return  # after a start, one that is not seen yet may be latched

@@ -42,8 +42,7 @@ class ReceivedEstop:
     """An e-stop that was received. unseen: controllers whose states have not shown that latch yet; until then, and at
     most until `until_ns`, their states of before it count for nothing."""
 
-    event: str
-    text: str
+    latch: EstopLatch
     until_ns: int
     unseen: set[str]
 
@@ -110,16 +109,15 @@ class WorldConditions:
         """Whether the fleet file asks for a word once a cause is gone."""
         return self._view.fleet.queue.on_clear == "ask"
 
-    def note_estop(self, latch: EstopLatch, text: str) -> None:
+    def note_estop(self, latch: EstopLatch) -> None:
         """An e-stop was received: adapters publish that they have latched it a moment later."""
-        self._estop = ReceivedEstop(
-            latch.event, text, self._clock.now_ns() + ESTOP_VISIBLE_NS, set(self._view.fleet.controllers)
-        )
+        until_ns = self._clock.now_ns() + ESTOP_VISIBLE_NS
+        self._estop = ReceivedEstop(latch, until_ns, set(self._view.fleet.controllers))
         for state in self._view.arrived_states.values():  # of an e-stop that is sent again
             self._note_latch(state)
 
     def _note_latch(self, state: ControllerState) -> None:
-        if self._estop is not None and state.estop is not None and state.estop.event == self._estop.event:
+        if self._estop is not None and state.estop is not None and state.estop.event == self._estop.latch.event:
             self._estop.unseen.discard(state.controller)
 
     def find_obstacle(self, needs: JobNeeds) -> Obstacle | None:
@@ -138,7 +136,7 @@ class WorldConditions:
     def _find_obstacle(self, needs: JobNeeds) -> Obstacle | None:
         estop = self._estop
         if needs.moves and estop and self._clock.now_ns() < estop.until_ns and needs.controllers & estop.unseen:
-            return Obstacle("estop-latched", estop.text, _SAFE)
+            return Obstacle("estop-latched", estop.latch.describe(), _SAFE)
         for controller in sorted(needs.controllers):
             obstacle = self._find_controller_obstacle(controller, moves=needs.moves)
             if obstacle is not None:
@@ -157,9 +155,7 @@ class WorldConditions:
         if state is None or self._view.is_silent(controller):
             return Obstacle("absent", f"{controller}: its adapter does not answer", "is its adapter host running?")
         if moves and state.estop is not None:
-            reason = f": {state.estop.reason}" if state.estop.reason else ""
-            text = f"e-stop by {state.estop.actor}{reason}"
-            return Obstacle("estop-latched", text, _SAFE)
+            return Obstacle("estop-latched", state.estop.describe(), _SAFE)
         if state.mode == "offline":
             return Obstacle("offline", f"{controller} is offline{_first_fault(state)}", "check power and cable")
         epoch = self._leadership.epoch

@@ -278,8 +278,8 @@ class Scheduler:
     def _receive_estop(self, sample: BusSample) -> None:
         """After an e-stop nothing begins by itself when it is reset: neither jobs nor steps."""
         estop = read_estop(sample.payload, self._services.clock.utc())
-        reason = f"e-stop by {estop.actor}" + f": {estop.reason}" * bool(estop.reason)
+        reason = estop.describe()
         for run in self.register.running.values():
             run.abandon(JobInterrupted("aborted", reason, estop.actor))
-        self._conditions.note_estop(estop, reason)
+        self._conditions.note_estop(estop)
         self.gate.stop_queue(reason, estop.actor)
