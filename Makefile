@@ -20,7 +20,7 @@ SLOWEST = --durations=10
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
 	@echo "make page             build the operators' page, which tutti up serves"
-	@echo "make test             set up, run all quick tests (6 minutes on two slow cores, less on quick ones)"
+	@echo "make test             set up, run all quick tests (7 minutes on two slow cores, less on quick ones)"
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
 	@echo "make test-slow        the other tests in virtual time, which cost more"
 	@echo "make test-browser     the operators' page in a real browser (Debian's chromium)"
